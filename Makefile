@@ -1,0 +1,58 @@
+# Needs Python 3.11 or newer and make, nothing else: every target sets up .venv first where needed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+# One thread per process, also for the tests' own process: spinning OpenMP threads of several
+# processes slow each other down a hundredfold.
+export OMP_NUM_THREADS ?= 1
+export OMP_WAIT_POLICY ?= PASSIVE
+
+.DEFAULT_GOAL := help
+.PHONY: help setup benchmark data test test-fast lint format bench ui clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+setup: $(READY) ## Make .venv with all that is needed
+
+benchmark: $(READY) ## Run the quick benchmark: four datasets, a table in minutes
+	$(BIN)/python -m flows.full_benchmark profile=quick
+
+data: $(READY) ## Generate all datasets and export them for Minari
+	$(BIN)/python -m flows.generate_data
+
+test: $(READY) ## Run the whole test suite
+	$(BIN)/python -m pytest
+
+test-fast: $(READY) ## Run the tests that take seconds
+	$(BIN)/python -m pytest -m 'not slow'
+
+lint: $(READY) ## Check style, types and the walls between the rooms
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(READY) ## Put the code into the common format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY) ## Measure speed beside its peers
+	$(BIN)/python -m benchmarks
+
+ui: $(READY) ## Open the MLflow UI on this project's runs, at http://127.0.0.1:5000
+	$(BIN)/python -m flows.ui
+
+clean: ## Remove the environment and caches (never mlruns/)
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,101 @@
+"""Speed of the Industrial Benchmark: a scalar Python loop against the vectorised environment.
+
+`python -m benchmarks.environment [--copies 1000] [--seconds 2]` prints a table of steps per second.
+Both run on one core with actions prepared beforehand; of several repetitions the best counts, since
+other work on the machine can only slow a repetition down.
+"""
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.scalar_industrial_benchmark import (
+    GeneratorDraws,
+    ScalarIndustrialBenchmark,
+    TunedScalarIndustrialBenchmark,
+)
+from components.environments.industrial_benchmark import IndustrialBenchmark
+
+_PREPARED = 64
+
+
+def best_rate(run: Callable[[], int], seconds: float) -> float:
+    """Steps per second of the fastest repetition within a time budget."""
+    best, end = 0.0, time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        begin = time.perf_counter()
+        steps = run()
+        best = max(best, steps / (time.perf_counter() - begin))
+    return best
+
+
+def scalar_loop(kind: type[ScalarIndustrialBenchmark]) -> Callable[[], int]:
+    """A runner of random steps of one machine."""
+    rng = np.random.default_rng(0)
+    machine = kind(GeneratorDraws(rng))
+    machine.reset()
+    actions = rng.uniform(-1.0, 1.0, (_PREPARED, 3))
+
+    def run() -> int:
+        for action in actions:
+            machine.step(action)
+        return _PREPARED
+
+    return run
+
+
+def vectorised(copies: int) -> Callable[[], int]:
+    """A runner of random steps of many machines."""
+    rng = np.random.default_rng(0)
+    machines = IndustrialBenchmark(copies)
+    machines.reset(rng)
+    actions = rng.uniform(-1.0, 1.0, (_PREPARED, copies, 3))
+
+    def run() -> int:
+        for action in actions:
+            machines.step(action)
+        return _PREPARED * copies
+
+    return run
+
+
+def processor() -> str:
+    """The processor's name."""
+    path = Path("/proc/cpuinfo")
+    if path.is_file():
+        for line in path.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.environment", description=__doc__)
+    parser.add_argument("--copies", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, default=2.0, help="budget of each measurement")
+    options = parser.parse_args()
+    plain = best_rate(scalar_loop(ScalarIndustrialBenchmark), options.seconds)
+    tuned = best_rate(scalar_loop(TunedScalarIndustrialBenchmark), options.seconds)
+    rows = [("scalar loop, plain", 1, plain), ("scalar loop, tuned", 1, tuned)]
+    for copies in sorted({1, 10, 100, options.copies, 10 * options.copies}):
+        rows.append(("vectorised", copies, best_rate(vectorised(copies), options.seconds)))
+    print("| environment | copies | steps per second | times plain | times tuned |")
+    print("|---|---:|---:|---:|---:|")
+    for name, copies, rate in rows:
+        ratios = f"{rate / plain:,.1f} | {rate / tuned:,.1f}"
+        print(f"| {name} | {copies:,} | {rate:,.0f} | {ratios} |")
+    threads = os.environ.get("OMP_NUM_THREADS", "unset")
+    print(
+        f"\n{processor()}, {os.cpu_count()} cores, one used (OMP_NUM_THREADS {threads}); "
+        f"Python {platform.python_version()}, NumPy {np.__version__}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,17 @@
+"""The learners, by name. One module each, all with the same outline.
+
+A module of an algorithm offers ``Config`` (frozen dataclass), ``Learner`` (a stack of lanes),
+``NEEDS`` (fitted models by name), ``TAKES_LAMBDA``, ``FRAME_EPSILON`` (added to feature deviations
+when frames are scaled) and ``VERSION`` (to be raised whenever a change of its code can change
+results).
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType, ModuleType
+from typing import Final
+
+from components.algorithms import lion, td3_bc
+
+__all__ = ["ALGORITHMS"]
+
+ALGORITHMS: Final[Mapping[str, ModuleType]] = MappingProxyType({"lion": lion, "td3_bc": td3_bc})

@@ -1,0 +1,186 @@
+"""LION: a policy whose proximity to the logged behaviour the operator steers at run time.
+
+Swazinna, Udluft, Runkler, "User-Interactive Offline Reinforcement Learning" (2022); thesis 6.4,
+equations 6.3 to 6.8 and algorithm 3. The policy ``pi(s, lambda)`` is trained purely on virtual
+trajectories of a learned transition ensemble. Per update and lane:
+
+    draw B start states and a lambda ~ Beta(0.1, 0.1) for each trajectory
+    roll pi(., lambda) out for H steps, every step taking the member of lowest predicted reward
+    R = sum_t gamma^t r_t / abs(mean return of the data)          (return in the data's scale)
+    P = sum_t gamma^t mean_d (pi - beta)_d^2 / H                  (distance to the behaviour, 6.3)
+    loss = mean[-lambda R + (1 - lambda) P] + eta mean ||a - pi(s, 0)||^2 over logged (s, a)   (6.7)
+
+Known deviations from the text, following the authors' code where it differs: start states come from
+the first ``start_window`` steps of each trajectory; rewards are scaled by the mean discounted
+window return of the dataset; the penalty is divided by the horizon; lambda enters the network
+standardised. The cloning batch is drawn from the whole dataset (the authors' code reaches only its
+first part).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from components.algorithms.base import Ingredients, first_rows
+from components.models.rollout import VirtualMachine
+from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
+from components.networks.checkpoint import (
+    load_optimizer_state,
+    module_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
+from components.networks.policy import Policy, PolicyCard, standardise_lambda
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS = ("behaviour_policy", "recurrent_ensemble")
+TAKES_LAMBDA = True
+FRAME_EPSILON = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """LION's settings (thesis 6.6)."""
+
+    updates: int = 1000
+    hidden: tuple[int, ...] = (256, 256)  # policy layers
+    learning_rate: float = 3e-4  # Adam
+    trajectories: int = 200  # B, virtual trajectories per update; also the cloning batch
+    horizon: int = 100  # H, steps of a virtual trajectory
+    discount: float = 0.97  # gamma
+    beta: float = 0.1  # both parameters of lambda's Beta distribution
+    eta: float = 0.1  # weight of the cloning term at lambda = 0
+    start_window: int = 30  # start states: the first so many steps of every trajectory
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        counts = (self.updates, self.trajectories, self.horizon, self.start_window, *self.hidden)
+        if min(counts) < 1:
+            raise ValueError(
+                "updates, hidden, trajectories, horizon and start_window must be at least 1."
+            )
+        if self.learning_rate <= 0 or self.beta <= 0 or self.eta < 0:
+            raise ValueError("learning_rate and beta must be positive and eta not negative.")
+        if not 0 < self.discount <= 1:
+            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
+
+
+class Learner:
+    """A stack of LION policies, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._config, self._parts, self._data = config, parts, parts.data
+        data, device = parts.data, parts.data.device
+        self.lanes = data.lanes
+        self._behaviour = Policy.concatenate(
+            parts.behaviour_policies[0].card, parts.behaviour_policies
+        ).to(device)
+        self._machine = VirtualMachine(
+            parts.recurrent_ensembles, parts.machine, data.frame_scaling, device
+        )
+        self._reward_scale = torch.tensor(parts.mean_window_returns, device=device).abs()[:, None]
+        sizes = (data.observation_width + 1, *config.hidden, data.action_width)
+        self._network = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
+        self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
+        starts = [first_rows(dataset, config.start_window) for dataset in data.datasets]
+        self._streams = LaneStreams(parts.keys, self._draws(starts, data.counts), device)
+        self._discounts = config.discount ** torch.arange(config.horizon, device=device)
+
+    def _draws(
+        self, starts: Sequence[npt.NDArray[np.int64]], counts: Sequence[int]
+    ) -> dict[str, Draw]:
+        batch, beta = self._config.trajectories, self._config.beta
+        return {
+            "start": lambda g, lane, steps: g.choice(starts[lane], size=(steps, batch)),
+            "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, batch)).astype("f4"),
+            "clone": lambda g, lane, steps: g.integers(counts[lane], size=(steps, batch)),
+        }
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
+        """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
+        steered = standardise_lambda(proximity)[..., None]
+        return torch.tanh(self._network(torch.cat([observations, steered], dim=-1)))
+
+    def _behaviour_act(self, observations: Tensor) -> Tensor:
+        """Actions of the clones, differentiable in the observations."""
+        x = observations
+        for weight, bias in self._behaviour.layers[:-1]:
+            x = torch.relu(torch.baddbmm(bias, x, weight))
+        weight, bias = self._behaviour.layers[-1]
+        return torch.tanh(torch.baddbmm(bias, x, weight))
+
+    # -- losses -----------------------------------------------------------------------------
+
+    def _virtual_losses(self, start: Tensor, proximity: Tensor) -> tuple[Tensor, Tensor]:
+        """Scaled returns and mean penalties of virtual trajectories, ``[L, B]`` each."""
+        penalties = []
+
+        def act(observations: Tensor) -> Tensor:
+            actions = self._act(observations, proximity)
+            difference = actions - self._behaviour_act(observations)
+            penalties.append(difference.square().mean(dim=-1))
+            return actions
+
+        history = self._data.denormalise_history(self._data.observations(start))
+        rewards = self._machine.unroll(history, act, self._config.horizon)
+        discounts = self._discounts[:, None, None]
+        returns = (discounts * rewards).sum(dim=0) / self._reward_scale
+        penalty = (discounts * torch.stack(penalties)).sum(dim=0) / self._config.horizon
+        return returns, penalty
+
+    def _cloning_loss(self, index: Tensor) -> Tensor:
+        """Squared distance to logged actions at lambda = 0, ``[L]``."""
+        observations = self._data.observations(index)
+        actions = self._act(observations, torch.zeros_like(observations[..., 0]))
+        return lanewise_mean((actions - self._data.actions(index)).square().sum(dim=-1))
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One policy update on all lanes."""
+        drawn = self._streams.at(step)
+        proximity = drawn["proximity"]
+        returns, penalty = self._virtual_losses(drawn["start"], proximity)
+        cloning = self._cloning_loss(drawn["clone"])
+        mixed = -proximity * returns + (1.0 - proximity) * penalty
+        loss = lanewise_mean(mixed) + self._config.eta * cloning
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.sum().backward()
+        self._optimizer.step()
+        return {
+            "policy/loss": loss.detach(),
+            "policy/virtual_return": lanewise_mean((returns * self._reward_scale).detach()),
+            "policy/penalty": lanewise_mean(penalty.detach()),
+            "policy/cloning_loss": cloning.detach(),
+        }
+
+    # -- what is deployed and what is kept ----------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_network(card, self._network, self._data.frame_scaling)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Networks and optimiser, lane axis first."""
+        return module_state({"policy": self._network}) | prefixed(
+            "optimizer", optimizer_state(self._optimizer)
+        )
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned."""
+        self._network.load_state_dict(with_prefix("policy", state))
+        load_optimizer_state(self._optimizer, with_prefix("optimizer", state))

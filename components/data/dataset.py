@@ -1,0 +1,290 @@
+"""An offline dataset: flat arrays with episode starts, and the card that says what they are.
+
+Frames are stored once. With T_e transitions in episode e, the episode has T_e + 1 frames: the
+first is the reset's, the last is the one after its last action. Transition i of episode e
+therefore has its newest frame in row i + e and its next frame in row i + e + 1.
+
+On disk a dataset is a folder of .npy files, opened memory-mapped, and `card.json`. The card holds
+a digest of all arrays, checked when the folder is opened.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "code_version"]
+
+FORMAT_VERSION: Final = 1
+_CARD = "card.json"
+_DTYPES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "frames": "<f4",
+        "actions": "<f4",
+        "rewards": "<f4",
+        "terminated": "|b1",
+        "truncated": "|b1",
+        "episode_starts": "<i8",
+    }
+)
+
+
+def code_version() -> str:
+    """Version of this package, or "unknown" where it runs without being installed."""
+    try:
+        return metadata.version("proximity-bench")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True)
+class DatasetCard:
+    """What a dataset is, where it came from, and how well its controller did.
+
+    Attributes:
+        name: of the dataset, e.g. "mediocre-0.2".
+        environment: Gymnasium id of the system it was logged on.
+        environment_parameters: its parameters, e.g. {"setpoint": 70.0}.
+        controller: name of the controller that logged it.
+        epsilon: chance per step of a whole random action vector.
+        seed: of the generation; the random stream depends on name and seed alone.
+        trajectories: number of episodes.
+        steps: transitions per episode.
+        discount: per step, of all returns below.
+        history: frames in an observation, newest first.
+        frame_features: names of the values of a frame.
+        action_features: names of the values of an action, each in [-1, 1].
+        machine: what is known of the machine without learning: `action_scale` (change of each
+            steering per unit of action), `steering_low`, `steering_high`, and `reward` (weight of
+            frame features in a frame's reward).
+        return_steps: window length of all returns below.
+        first_window_return_mean: mean over episodes of the return of the first window, the
+            performance of the logging controller under the benchmark's protocol.
+        first_window_return_min: the least of them.
+        first_window_return_max: the greatest of them.
+        all_windows_return_mean: mean over every window start of every episode; windows do not
+            cross episodes.
+        digest: sha256 over all arrays.
+        code_version: version of the package that made it.
+        format_version: of the folder.
+    """
+
+    name: str
+    environment: str
+    environment_parameters: Mapping[str, float]
+    controller: str
+    epsilon: float
+    seed: int
+    trajectories: int
+    steps: int
+    discount: float
+    history: int
+    frame_features: tuple[str, ...]
+    action_features: tuple[str, ...]
+    machine: Mapping[str, Any]
+    return_steps: int
+    first_window_return_mean: float
+    first_window_return_min: float
+    first_window_return_max: float
+    all_windows_return_mean: float
+    digest: str
+    code_version: str = field(default_factory=code_version)
+    format_version: int = FORMAT_VERSION
+
+    def to_json(self) -> str:
+        """The card as indented JSON, the same text for the same card."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("environment_parameters", "machine"):
+            values[name] = dict(values[name])
+        return json.dumps(values, indent=2, sort_keys=True) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> "DatasetCard":
+        """Read a card.
+
+        Raises:
+            ValueError: not JSON, fields missing or unknown, or a format this code cannot read.
+        """
+        try:
+            values: Any = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"a dataset card must be JSON: {error}.") from error
+        if not isinstance(values, dict):
+            raise ValueError("a dataset card must be a JSON object.")
+        version = values.get("format_version")
+        if version != FORMAT_VERSION:
+            raise ValueError(
+                f"the dataset has format version {version!r} and this code reads version "
+                f"{FORMAT_VERSION}; generate the dataset again."
+            )
+        names = {f.name for f in fields(cls)}
+        wrong = sorted(names.symmetric_difference(values))
+        if wrong:
+            raise ValueError(
+                f"the dataset card has missing or unknown fields ({', '.join(wrong)}); "
+                "generate the dataset again."
+            )
+        for name in ("frame_features", "action_features"):
+            values[name] = tuple(values[name])
+        return cls(**values)
+
+
+def array_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """sha256 over name, type, shape and bytes of arrays, in the order of the folder's files."""
+    digest = hashlib.sha256()
+    for name in _DTYPES:
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class OfflineDataset:
+    """Logged transitions of E episodes, N transitions in all.
+
+    Attributes:
+        card: what the dataset is.
+        frames: `[N + E, F]` float32.
+        actions: `[N, A]` float32 in [-1, 1].
+        rewards: `[N]` float32, of the state after the action.
+        terminated: `[N]` bool, the state after the action is terminal.
+        truncated: `[N]` bool, the episode was cut by time after the action; bootstrap through it.
+        episode_starts: `[E + 1]` int64, first transition of each episode, and N.
+    """
+
+    card: DatasetCard
+    frames: NDArray[np.float32]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    episode_starts: NDArray[np.int64]
+
+    @property
+    def transitions(self) -> int:
+        """Number of transitions N."""
+        return len(self.rewards)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes E."""
+        return len(self.episode_starts) - 1
+
+    def episode_index(self) -> NDArray[np.int64]:
+        """`[N]` episode of each transition."""
+        return np.repeat(np.arange(self.episodes, dtype=np.int64), np.diff(self.episode_starts))
+
+    def frame_rows(self) -> NDArray[np.int64]:
+        """`[N]` row of the newest frame of each transition; the next frame is one row later."""
+        return np.arange(self.transitions, dtype=np.int64) + self.episode_index()
+
+    def first_rows(self) -> NDArray[np.int64]:
+        """`[N]` row of the first frame of each transition's episode."""
+        starts = self.episode_starts[:-1] + np.arange(self.episodes, dtype=np.int64)
+        return np.repeat(starts, np.diff(self.episode_starts))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays by file name, in the order of the digest."""
+        return {name: getattr(self, name) for name in _DTYPES}
+
+    def write(self, folder: Path) -> None:
+        """Store the dataset; the folder appears complete or not at all.
+
+        Args:
+            folder: a new or empty folder.
+
+        Raises:
+            ValueError: the folder holds something already.
+        """
+        folder = Path(folder)
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ValueError(f"{folder} is not empty; remove it or write the dataset elsewhere.")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            for name, array in self.arrays().items():
+                np.save(temporary / f"{name}.npy", array, allow_pickle=False)
+            (temporary / _CARD).write_text(self.card.to_json(), encoding="utf-8")
+            temporary.chmod(0o755)  # mkdtemp makes a private folder
+            os.replace(temporary, folder)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+
+    @classmethod
+    def open(cls, folder: Path, *, check: bool = True) -> "OfflineDataset":
+        """Open a stored dataset memory-mapped and read-only.
+
+        Args:
+            folder: what `write` was given.
+            check: read all bytes once and compare their digest with the card's.
+
+        Raises:
+            FileNotFoundError: no dataset there, or one of its files is missing.
+            ValueError: a file that cannot be read, has another type or shape than it should, or
+                does not have the digest on the card.
+        """
+        folder = Path(folder)
+        remedy = "generate the dataset again"
+        if not (folder / _CARD).is_file():
+            raise FileNotFoundError(
+                f"there is no dataset in {folder}: {_CARD} is missing; {remedy}."
+            )
+        try:
+            card = DatasetCard.from_json((folder / _CARD).read_text(encoding="utf-8"))
+        except (ValueError, UnicodeDecodeError) as error:
+            raise ValueError(f"the dataset in {folder} cannot be opened: {error}") from error
+        arrays: dict[str, Any] = {}
+        for name, dtype in _DTYPES.items():
+            path = folder / f"{name}.npy"
+            if not path.is_file():
+                raise FileNotFoundError(f"{path} is missing from its dataset; {remedy}.")
+            try:
+                arrays[name] = np.load(path, mmap_mode="r", allow_pickle=False)
+            except (ValueError, EOFError, OSError) as error:
+                raise ValueError(f"{path} is damaged and cannot be read; {remedy}.") from error
+            if arrays[name].dtype != np.dtype(dtype):
+                raise ValueError(f"{path} holds {arrays[name].dtype}, not {dtype}; {remedy}.")
+        if check and array_digest(arrays) != card.digest:
+            raise ValueError(
+                f"the arrays in {folder} do not have the digest on their card: they were changed "
+                f"or damaged after they were written; {remedy}."
+            )
+        dataset = cls(card=card, **arrays)
+        _check_shapes(dataset, folder)
+        return dataset
+
+    def summary(self) -> dict[str, Any]:
+        """The card as a plain dictionary, for logs and tables."""
+        return asdict(self.card)
+
+
+def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
+    n, e = dataset.transitions, dataset.episodes
+    features, actions = len(dataset.card.frame_features), len(dataset.card.action_features)
+    expected: dict[str, tuple[int, ...]] = {
+        "frames": (n + e, features),
+        "actions": (n, actions),
+        "rewards": (n,),
+        "terminated": (n,),
+        "truncated": (n,),
+        "episode_starts": (dataset.card.trajectories + 1,),
+    }
+    for name, shape in expected.items():
+        found = getattr(dataset, name).shape
+        if found != shape:
+            raise ValueError(
+                f"{folder / name}.npy has the shape {found}, not {shape}; "
+                "generate the dataset again."
+            )

@@ -1,0 +1,132 @@
+"""Datasets as lane-first tensors on a device: every lane draws from its own dataset.
+
+Lanes of the same dataset share its frames. Frames are normalised once, when they are loaded; a
+history of H frames is a gather over the narrow frame table, newest frame first, and the wide table
+of stacked histories never exists.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from components.data.dataset import OfflineDataset
+from components.data.history import gather_history
+from components.data.normaliser import Normaliser
+
+__all__ = ["Batch", "LaneData"]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions of L lanes.
+
+    Attributes:
+        observations: ``[L, B, O]`` normalised history, newest frame first.
+        actions: ``[L, B, A]`` in [-1, 1].
+        rewards: ``[L, B]``.
+        next_observations: ``[L, B, O]``.
+        continues: ``[L, B]`` 0 where the next state is terminal, 1 everywhere else: the end of a
+            logged trajectory is a time-out and is bootstrapped through.
+    """
+
+    observations: Tensor
+    actions: Tensor
+    rewards: Tensor
+    next_observations: Tensor
+    continues: Tensor
+
+
+class LaneData:
+    """The datasets of L lanes on one device.
+
+    Args:
+        datasets: One dataset per lane; equal digests are stored once.
+        device: Where to put the tensors.
+        epsilon: Added to the feature deviations, see :meth:`Normaliser.fit`.
+
+    Raises:
+        ValueError: If the lanes' datasets differ in frame, action or history width.
+    """
+
+    def __init__(
+        self, datasets: Sequence[OfflineDataset], device: torch.device, epsilon: float = 0.0
+    ) -> None:
+        shapes = {(d.frames.shape[1], d.actions.shape[1], d.card.history) for d in datasets}
+        if len(shapes) != 1:
+            raise ValueError(
+                "Lanes of one stack need equal frame, action and history widths, got "
+                f"{sorted(shapes)}."
+            )
+        ((self.frame_width, self.action_width, self.history),) = shapes
+        self.device = device
+        self.datasets = list(datasets)
+        distinct = list({d.card.digest: d for d in datasets}.values())
+        scalers = {d.card.digest: Normaliser.fit(d.frames, epsilon) for d in distinct}
+        self.frame_scaling = Normaliser.stack([scalers[d.card.digest] for d in datasets]).to(device)
+        self.counts = [d.transitions for d in datasets]  # transitions per lane
+
+        frame_offset = transition_offset = 0
+        offsets, tables = {}, []
+        newest, first, actions, rewards, continues = [], [], [], [], []
+        for data in distinct:
+            offsets[data.card.digest] = transition_offset
+            tables.append(scalers[data.card.digest].apply(torch.from_numpy(np.array(data.frames))))
+            newest.append(torch.from_numpy(data.frame_rows() + frame_offset))
+            first.append(torch.from_numpy(data.first_rows() + frame_offset))
+            actions.append(torch.from_numpy(np.array(data.actions)))
+            rewards.append(torch.from_numpy(np.array(data.rewards)))
+            continues.append(1.0 - torch.from_numpy(np.array(data.terminated, dtype=np.float32)))
+            frame_offset += len(data.frames)
+            transition_offset += data.transitions
+        self._frames = torch.cat(tables).to(device)
+        self._newest, self._first = torch.cat(newest).to(device), torch.cat(first).to(device)
+        self._actions, self._rewards = torch.cat(actions).to(device), torch.cat(rewards).to(device)
+        self._continues = torch.cat(continues).to(device)
+        self._base = torch.tensor([offsets[d.card.digest] for d in datasets], device=device)[
+            :, None
+        ]
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes L."""
+        return len(self.counts)
+
+    @property
+    def observation_width(self) -> int:
+        """Width O of a stacked history."""
+        return int(self.history * self.frame_width)
+
+    def batch(self, index: Tensor) -> Batch:
+        """Gather transitions ``index [L, B]``, counted within each lane's dataset."""
+        flat = index + self._base
+        window = self._history(self._newest[flat] + 1, self._first[flat], self.history + 1)
+        actions, rewards = self._actions[flat], self._rewards[flat]
+        return Batch(
+            observations=window[:, :, self.frame_width :],
+            actions=actions,
+            rewards=rewards,
+            next_observations=window[:, :, : self.observation_width],
+            continues=self._continues[flat],
+        )
+
+    def observations(self, index: Tensor) -> Tensor:
+        """Normalised histories ``[L, B, O]`` of transitions ``index [L, B]``."""
+        flat = index + self._base
+        return self._history(self._newest[flat], self._first[flat], self.history)
+
+    def actions(self, index: Tensor) -> Tensor:
+        """Logged actions ``[L, B, A]`` of transitions ``index [L, B]``."""
+        return self._actions[index + self._base]
+
+    def _history(self, newest: Tensor, first: Tensor, length: int) -> Tensor:
+        """Normalised histories ``[L, B, length * F]`` ending in the frame rows ``newest``."""
+        return gather_history(self._frames, newest, first, length)
+
+    def denormalise_history(self, observations: Tensor) -> Tensor:
+        """Raw frames ``[L, B, H, F]`` of normalised histories ``[L, B, O]``."""
+        frames = observations.view(*observations.shape[:-1], self.history, self.frame_width)
+        scaling = self.frame_scaling
+        return frames * scaling.scale[:, None, None] + scaling.mean[:, None, None]

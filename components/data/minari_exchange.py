@@ -1,0 +1,210 @@
+"""Datasets to and from Minari (HDF5), so that other tools can load them.
+
+A Minari episode holds T + 1 observations for T actions: observation t, action t, reward t and
+observation t + 1 belong together, and the last observation is the one after the last action.
+Tools that drop the `+ 1` shift every later episode; the tests check the alignment both ways.
+
+Exported observations are single frames (6 values). The environment in the dataset's description
+is this project's, made with `history=1`, so that it has exactly these observations;
+`recover_environment()` works wherever this package is installed. Whoever wants the benchmark's
+observation stacks the last 30 frames, newest first, repeating the episode's first frame where
+there are fewer (the description says so), or exports with `stacked=True`: the same transitions with
+180 values each, ready for tools that know no histories.
+
+Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
+"""
+
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import minari
+import numpy as np
+from minari.data_collector import EpisodeBuffer
+
+import components.environments  # registers the environment that the export names
+from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.history import gather_history
+
+__all__ = ["export_minari", "import_minari", "minari_id"]
+
+_NAMESPACE = "proximity"
+_CARD_KEY = "proximity_dataset_card"
+_ROOT_VARIABLE = "MINARI_DATASETS_PATH"
+
+
+def minari_id(name: str, *, stacked: bool = False) -> str:
+    """Minari's id of a dataset, e.g. "proximity/mediocre-0p2-v0"."""
+    return f"{_NAMESPACE}/{name.replace('.', 'p')}{'-stacked' if stacked else ''}-v0"
+
+
+def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False) -> str:
+    """Write a dataset below a Minari root; it appears complete or not at all.
+
+    Args:
+        dataset: what to write.
+        root: the folder that MINARI_DATASETS_PATH names for whoever loads it.
+        stacked: store observations of all history frames instead of single frames.
+
+    Returns:
+        The dataset's Minari id.
+
+    Raises:
+        ValueError: a dataset of that id exists below the root.
+    """
+    card = dataset.card
+    dataset_id = minari_id(card.name, stacked=stacked)
+    root = Path(root).resolve()
+    target = root / dataset_id
+    if target.exists():
+        raise ValueError(f"{target} exists; remove it or export to another folder.")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=".minari-", dir=root))
+    history = card.history if stacked else 1
+    try:
+        with _minari_root(temporary), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # optional fields that we leave out
+            created = minari.create_dataset_from_buffers(
+                dataset_id,
+                list(_episodes(dataset, history)),
+                env=_environment_spec(card, history),
+                algorithm_name=f"{card.controller} controller, epsilon {card.epsilon}",
+                author="proximity-bench",
+                description=_description(card, stacked),
+                requirements=["proximity-bench"],
+                data_format="hdf5",
+            )
+        created.storage.update_metadata({_CARD_KEY: card.to_json()})
+        for file in (temporary / _NAMESPACE).glob("*.json"):
+            if not (target.parent / file.name).exists():
+                os.replace(file, target.parent / file.name)
+        os.replace(temporary / dataset_id, target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return dataset_id
+
+
+def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
+    """Read a dataset that `export_minari` wrote, single frames or stacked.
+
+    Args:
+        dataset_id: Minari's id.
+        root: the folder below which it lies.
+
+    Raises:
+        FileNotFoundError: no such dataset below the root.
+        ValueError: a dataset without this project's card, or whose content does not have the
+            digest on its card.
+    """
+    folder = Path(root) / dataset_id / "data"
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no Minari dataset {dataset_id!r} below {root}.")
+    source = minari.MinariDataset(folder)
+    text = source.storage.metadata.get(_CARD_KEY)
+    if not isinstance(text, str):
+        raise ValueError(
+            f"{dataset_id} was not exported by this project: it has no dataset card; "
+            "export it with export_minari."
+        )
+    card = DatasetCard.from_json(text)
+    features = len(card.frame_features)
+    frames, actions, rewards, terminated, truncated, lengths = [], [], [], [], [], []
+    for episode in source.iterate_episodes():
+        observations = np.asarray(episode.observations)
+        if len(observations) != len(episode.actions) + 1:
+            raise ValueError(
+                f"episode {episode.id} of {dataset_id} has {len(observations)} observations for "
+                f"{len(episode.actions)} actions; there must be one more than actions."
+            )
+        frames.append(observations[:, :features])  # the newest frame comes first in a stack
+        actions.append(episode.actions)
+        rewards.append(episode.rewards)
+        terminated.append(episode.terminations)
+        truncated.append(episode.truncations)
+        lengths.append(len(episode.actions))
+    arrays: dict[str, Any] = {
+        "frames": np.concatenate(frames).astype(np.float32),
+        "actions": np.concatenate(actions).astype(np.float32),
+        "rewards": np.concatenate(rewards).astype(np.float32),
+        "terminated": np.concatenate(terminated).astype(np.bool_),
+        "truncated": np.concatenate(truncated).astype(np.bool_),
+        "episode_starts": np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
+    }
+    if array_digest(arrays) != card.digest:
+        raise ValueError(
+            f"the content of {dataset_id} does not have the digest on its card; it was changed "
+            "after it was exported, so export it again."
+        )
+    return OfflineDataset(card=card, **arrays)
+
+
+def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
+    starts = dataset.episode_starts
+    for episode in range(dataset.episodes):
+        begin, end = int(starts[episode]), int(starts[episode + 1])
+        rows = np.arange(begin + episode, end + episode + 1)  # one more than transitions
+        observations = gather_history(dataset.frames, rows, np.full_like(rows, rows[0]), history)
+        yield EpisodeBuffer(
+            id=episode,
+            seed=None,
+            observations=np.asarray(observations),
+            actions=np.asarray(dataset.actions[begin:end]),
+            rewards=np.asarray(dataset.rewards[begin:end]),
+            terminations=np.asarray(dataset.terminated[begin:end]),
+            truncations=np.asarray(dataset.truncated[begin:end]),
+        )
+
+
+def _environment_spec(card: DatasetCard, history: int) -> Any:
+    parameters: dict[str, Any] = {**card.environment_parameters, "history": history}
+    environment = gym.make(card.environment, max_episode_steps=card.steps, **parameters)
+    try:
+        return environment.spec
+    finally:
+        environment.close()
+
+
+def _description(card: DatasetCard, stacked: bool) -> str:
+    width = len(card.frame_features)
+    frame = ", ".join(card.frame_features)
+    if stacked:
+        what = (
+            f"An observation is the last {card.history} frames of {width} values ({frame}), newest "
+            "first, flattened frame by frame."
+        )
+    else:
+        what = (
+            f"An observation is one frame of {width} values ({frame}). The benchmark's observation "
+            f"is the last {card.history} frames, newest first, with the episode's first frame in "
+            "the place of missing ones."
+        )
+    return (
+        f"{card.name}: the Industrial Benchmark at {dict(card.environment_parameters)}, logged by "
+        f"the {card.controller} controller with {card.epsilon:.0%} random actions. {what} An "
+        f"action is the wanted change of {', '.join(card.action_features)}. The reward is "
+        "-(3 fatigue + consumption) / 100 of the state after the action. The end of an episode is "
+        "a time-out, not a terminal state."
+    )
+
+
+@contextmanager
+def _minari_root(folder: Path) -> Iterator[None]:
+    """Minari takes its root from the environment alone, at every call."""
+    before = os.environ.get(_ROOT_VARIABLE)
+    os.environ[_ROOT_VARIABLE] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_ROOT_VARIABLE]
+        else:
+            os.environ[_ROOT_VARIABLE] = before
+
+
+assert components.environments.INDUSTRIAL_BENCHMARK_ID in gym.registry

@@ -1,0 +1,128 @@
+"""Roll stored policies out on the real system: the only place that judges them.
+
+All snapshots, all lambdas and all repetitions of a policy run as copies of one vectorised
+environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
+own environment and its own random stream, so its numbers do not depend on what is evaluated beside
+it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from components.environments.batch import make_batch
+from components.environments.frame_history import FrameHistory
+from components.networks.policy import Policy
+from components.networks.streams import lane_generator
+
+__all__ = ["EvaluationConfig", "PolicyReturns", "evaluate_policies"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """The protocol (thesis 5.1.2; details in the README)."""
+
+    trajectories: int = 10  # real trajectories per policy and lambda
+    horizon: int = 100  # steps
+    discount: float = 0.97  # gamma of the reported return
+    lambda_step: float = 0.05  # grid of lambda, from 0 to 1
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the field and its range.
+        """
+        if self.trajectories < 1 or self.horizon < 1:
+            raise ValueError("trajectories and horizon must be at least 1.")
+        if not 0 < self.discount <= 1:
+            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
+        if not 0 < self.lambda_step <= 1 or abs(1 / self.lambda_step % 1) > 1e-9:
+            raise ValueError(f"lambda_step must divide 1, got {self.lambda_step}.")
+
+    @property
+    def lambdas(self) -> tuple[float, ...]:
+        """The grid 0, step, ..., 1."""
+        count = round(1 / self.lambda_step)
+        return tuple(n / count for n in range(count + 1))
+
+
+@dataclass(frozen=True)
+class PolicyReturns:
+    """What one stack of S snapshots achieved.
+
+    Attributes:
+        lambdas: The grid, or a single NaN for policies without lambda.
+        returns: ``[S, lambdas, trajectories]`` discounted returns.
+        distances: ``[S, lambdas]`` mean Euclidean distance to the behaviour policy's action over
+            all visited states.
+    """
+
+    lambdas: npt.NDArray[np.float64]
+    returns: npt.NDArray[np.float64]
+    distances: npt.NDArray[np.float64]
+
+
+def evaluate_policies(
+    policies: Sequence[Policy],
+    behaviours: Sequence[Policy],
+    environment: str,
+    parameters: Mapping[str, Any],
+    config: EvaluationConfig,
+    keys: Sequence[int],
+    device: torch.device,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[PolicyReturns]:
+    """Evaluate stacks of snapshots, all of them at once.
+
+    Args:
+        policies: Stacks of S snapshots each (one per seed), of equal shapes.
+        behaviours: For each stack the behaviour policy to measure the distance to.
+        environment: Gymnasium id of the real system.
+        parameters: Its parameters, such as the setpoint.
+        config: The protocol.
+        keys: One random stream per stack.
+        device: Where the policies act.
+        progress: Told the finished fraction.
+
+    Returns:
+        One result per stack.
+    """
+    steered = policies[0].card.takes_lambda
+    grid = config.lambdas if steered else (float("nan"),)
+    snapshots, repeats = policies[0].lanes, config.trajectories
+    per_policy = len(grid) * repeats
+    actors = Policy.concatenate(policies[0].card, policies).to(device)
+    clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
+    proximity = torch.tensor(grid, device=device).repeat_interleave(repeats)
+    steering = proximity.expand(actors.lanes, -1) if steered else None
+    machines = [make_batch(environment, snapshots * per_policy, **parameters) for _ in policies]
+    histories = [
+        FrameHistory(machine.reset(lane_generator(key)), actors.card.history)
+        for machine, key in zip(machines, keys, strict=True)
+    ]
+    shape = (len(policies), snapshots * per_policy)
+    returns, distance = np.zeros(shape), np.zeros(shape)
+    for t in range(config.horizon):
+        windows = torch.from_numpy(np.stack([h.window for h in histories])).float().to(device)
+        seen = windows.view(actors.lanes, per_policy, *windows.shape[2:])
+        actions = actors.act(seen, steering).view(*shape, -1)
+        away: Tensor = torch.linalg.vector_norm(actions - clones.act(windows), dim=-1)
+        distance += away.cpu().numpy()
+        chosen = actions.cpu().numpy().astype(np.float64)
+        for number, (machine, history) in enumerate(zip(machines, histories, strict=True)):
+            frames, rewards = machine.step(chosen[number])
+            history.push(frames)
+            returns[number] += config.discount**t * rewards
+        progress((t + 1) / config.horizon)
+    by_policy = (len(policies), snapshots, len(grid), repeats)
+    distance = distance.reshape(by_policy).mean(axis=-1) / config.horizon
+    return [
+        PolicyReturns(np.array(grid), r, d)
+        for r, d in zip(returns.reshape(by_policy), distance, strict=True)
+    ]

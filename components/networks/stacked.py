@@ -1,0 +1,115 @@
+"""Stacks of independent networks: the one building block of every learner.
+
+A stack holds L copies of a network in tensors whose first axis is the *lane* axis: weights
+``[L, in, out]``, activations ``[L, B, features]``, one ``torch.baddbmm`` per layer. Losses that are
+averaged inside a lane and summed over lanes give every lane exactly the gradient it would have had
+alone, so one element-wise optimiser (Adam, SGD) trains them all. Twin critics and ensemble members
+are lanes as well: ``[L * K, ...]`` viewed as ``[L, K, ...]``.
+
+Initial weights are PyTorch's default for linear layers, uniform in +-1/sqrt(fan in), drawn per lane
+from that lane's own generator.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+__all__ = ["StackedLinear", "StackedMLP", "lanewise_mean", "polyak_update", "select_lanes"]
+
+Activation = Callable[[Tensor], Tensor]
+
+
+class StackedLinear(nn.Module):
+    """L affine maps side by side: ``[L, B, in] -> [L, B, out]``."""
+
+    def __init__(
+        self, generators: Sequence[np.random.Generator], inputs: int, outputs: int
+    ) -> None:
+        super().__init__()
+        bound = inputs**-0.5
+        weights = [g.uniform(-bound, bound, (inputs + 1, outputs)) for g in generators]
+        stacked = torch.from_numpy(np.stack(weights)).float()
+        self.weight = nn.Parameter(stacked[:, :inputs].clone())
+        self.bias = nn.Parameter(stacked[:, inputs:].clone())
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply lane l's map to ``x[l]``."""
+        return torch.baddbmm(self.bias, x, self.weight)
+
+
+class StackedMLP(nn.Module):
+    """L multilayer perceptrons side by side.
+
+    Args:
+        generators: One generator per lane, consumed for the initial weights.
+        sizes: Layer widths from input to output, e.g. ``(180, 256, 256, 3)``.
+        activation: Applied after every hidden layer; the output layer is linear.
+    """
+
+    def __init__(
+        self,
+        generators: Sequence[np.random.Generator],
+        sizes: Sequence[int],
+        activation: Activation = torch.relu,
+    ) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(
+            StackedLinear(generators, inputs, outputs) for inputs, outputs in pairwise(sizes)
+        )
+        self._activation = activation
+
+    @property
+    def lanes(self) -> int:
+        """Number of stacked copies L."""
+        return len(self.affine()[0][0])
+
+    def affine(self) -> list[tuple[nn.Parameter, nn.Parameter]]:
+        """Weight ``[L, in, out]`` and bias ``[L, 1, out]`` of every layer, input to output."""
+        return [(m.weight, m.bias) for m in self.layers if isinstance(m, StackedLinear)]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map ``[L, B, in]`` to ``[L, B, out]``."""
+        *hidden, last = self.layers
+        for layer in hidden:
+            x = self._activation(layer(x))
+        out: Tensor = last(x)
+        return out
+
+
+def lanewise_mean(x: Tensor) -> Tensor:
+    """Mean over everything but the lane axis: ``[L, ...] -> [L]``."""
+    return x.flatten(start_dim=1).mean(dim=1)
+
+
+@torch.no_grad()
+def polyak_update(target: nn.Module, online: nn.Module, rate: float) -> None:
+    """Move target parameters by ``target <- rate * online + (1 - rate) * target``."""
+    torch._foreach_lerp_(list(target.parameters()), list(online.parameters()), rate)
+
+
+def select_lanes(state: Mapping[str, Tensor], lanes: Sequence[int], of: int) -> dict[str, Tensor]:
+    """Pick lanes out of the state of a stack.
+
+    Args:
+        state: Tensors whose first axis is ``of`` lanes, or ``of * m`` for networks with m copies a
+            lane (twin critics, ensemble members), lane-major.
+        lanes: Which lanes to keep, in the order wanted.
+        of: Number of lanes in ``state``.
+
+    Returns:
+        The same names with ``len(lanes)`` lanes.
+
+    Raises:
+        ValueError: If a tensor's first axis is no multiple of ``of``.
+    """
+    picked = {}
+    for name, tensor in state.items():
+        if tensor.ndim == 0 or tensor.shape[0] % of:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}, which holds no {of} lanes.")
+        grouped = tensor.reshape(of, tensor.shape[0] // of, *tensor.shape[1:])
+        index = torch.tensor(list(lanes), dtype=torch.long, device=tensor.device)
+        picked[name] = grouped.index_select(0, index).flatten(0, 1)
+    return picked

@@ -1,0 +1,79 @@
+"""One figure per dataset: LION's return and distance over lambda, the others as dashed lines.
+
+The layout of thesis figure 6.5. Everything is drawn from stored summaries.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+__all__ = ["proximity_figure", "save_figure"]
+
+Summary = Mapping[str, Any]
+
+
+def proximity_figure(
+    dataset: str, summaries: Sequence[Summary], behaviour_return: float
+) -> Figure | None:
+    """Draw a dataset's adaptive policies over lambda.
+
+    Args:
+        dataset: Its name.
+        summaries: All summaries of this dataset; those whose points carry a lambda are curves,
+            the others dashed lines.
+        behaviour_return: Mean return of the logging controller, exploration included.
+
+    Returns:
+        The figure, or None where no policy takes lambda.
+    """
+    curves = [s for s in summaries if s["points"][0]["lambda"] is not None]
+    fixed = [s for s in summaries if s["points"][0]["lambda"] is None]
+    if not curves:
+        return None
+    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
+    for number, summary in enumerate(curves):
+        points, colour = summary["points"], f"C{number}"
+        x = [p["lambda"] for p in points]
+        mean = [p["mean"] for p in points]
+        band = [p["seed_std"] for p in points]
+        label = summary["algorithm"]
+        upper.plot(x, mean, color=colour, label=f"{label} (mean ± sd of seeds)", linewidth=1.8)
+        upper.fill_between(
+            x,
+            [m - b for m, b in zip(mean, band, strict=True)],
+            [m + b for m, b in zip(mean, band, strict=True)],
+            color=colour,
+            alpha=0.2,
+            linewidth=0,
+        )
+        lower.plot(x, [p["distance"] for p in points], color=colour, linewidth=1.8)
+    for number, summary in enumerate(fixed, start=len(curves)):
+        upper.axhline(
+            summary["points"][0]["mean"],
+            color=f"C{number}",
+            linestyle="--",
+            linewidth=1.2,
+            label=summary["algorithm"],
+        )
+    upper.axhline(
+        behaviour_return, color="0.4", linestyle=":", linewidth=1.2, label="logged behaviour"
+    )
+    upper.set_title(dataset)
+    upper.set_ylabel("discounted 100-step return")
+    upper.legend(fontsize="small", frameon=False)
+    lower.set_ylabel("distance to\nbehaviour policy")
+    lower.set_xlabel("proximity parameter λ")
+    lower.set_xlim(0.0, 1.0)
+    lower.set_ylim(bottom=0.0)
+    for axes in (upper, lower):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25, linewidth=0.5)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a PNG."""
+    figure.savefig(path, dpi=150)

@@ -1,0 +1,18 @@
+"""The doors: ``python -m flows.NAME``. Wiring only; the science is in ``components``.
+
+Importing this package, which every door and every worker does before anything heavy, settles what
+native libraries read once: one thread per process unless a task asks for more (two processes with
+two spinning OpenMP threads each on two cores run a hundred times slower than one), and no
+telemetry.
+"""
+
+import os
+
+for _name, _value in {
+    "OMP_NUM_THREADS": "1",
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}.items():
+    os.environ.setdefault(_name, _value)

@@ -1,0 +1,106 @@
+"""The whole benchmark: ``python -m flows.full_benchmark profile=quick``."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from components.data.dataset import DatasetCard
+from components.reporting.figures import proximity_figure, save_figure
+from components.reporting.tables import markdown_table, result_rows, results_csv
+from flows.benchmark import benchmark_plan, sweep_name
+from flows.pipeline.files import write_text
+from flows.pipeline.plan import Plan
+from flows.pipeline.runner import Outcome
+from flows.pipeline.store import ArtifactStore
+from flows.session import main, run_sweep
+from flows.settings import Settings
+
+__all__ = ["write_report"]
+
+HELP = """\
+usage: python -m flows.full_benchmark [KEY=VALUE ...]
+
+Generate datasets, fit models, train policies, evaluate them in the real environment, aggregate and
+report. Everything finished is kept under mlruns/ and reused; the same command continues a sweep.
+
+  profile=smoke|quick|paper    budgets and selection; paper is the default
+  datasets=[a,b]               names in conf/dataset, or all
+  algorithms=[a,b]             names in conf/algorithm, or all
+  seeds=[0,1]                  whole numbers
+  dry_run=true                 show the plan and stop
+  sweep=NAME                   name of the sweep and its report folder
+  algorithm.NAME.KEY=VALUE     any setting of conf/, e.g. algorithm.lion.updates=200
+"""
+
+
+def write_report(
+    folder: Path, plan: Plan, store: ArtifactStore
+) -> tuple[list[Path], list[dict[str, Any]], list[dict[str, Any]]]:
+    """Write table and figures of everything that is finished.
+
+    Args:
+        folder: Made if needed.
+        plan: Of the sweep.
+        store: With its artifacts.
+
+    Returns:
+        The files, the rows and the summaries they show.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    done = [node for node in plan if store.complete(node.key)]
+    summaries = [
+        json.loads((store.path(node.key) / "summary.json").read_text(encoding="utf-8"))
+        for node in done
+        if node.component == "aggregation"
+    ]
+    rows = result_rows(summaries)
+    table, text = folder / "results.csv", folder / "results.md"
+    write_text(table, results_csv(rows))
+    write_text(text, markdown_table(rows))
+    files = [table, text]
+    for node in done:
+        if node.component != "data_generation":
+            continue
+        card_file = store.path(node.key) / "dataset" / "card.json"
+        card = DatasetCard.from_json(card_file.read_text(encoding="utf-8"))
+        figure = proximity_figure(
+            card.name,
+            [s for s in summaries if s["dataset"] == card.name],
+            card.first_window_return_mean,
+        )
+        if figure is not None:
+            files.append(folder / f"{card.name}.png")
+            save_figure(figure, files[-1])
+    return files, rows, summaries
+
+
+def _headline(summaries: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Per dataset and algorithm the 10th percentile; for adaptive policies at every lambda."""
+    metrics = {}
+    for summary in summaries:
+        for point in summary["points"]:
+            name = f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}"
+            if point["lambda"] is not None:
+                name += f"/lambda_{point['lambda']:.2f}"
+            metrics[name] = point["tenth_percentile"]
+    return metrics
+
+
+def _run(settings: Settings) -> int:
+    plan = benchmark_plan(settings)
+    name = sweep_name(settings, plan)
+    folder = Path(settings.store) / "reports" / name
+
+    def report(outcome: Outcome) -> tuple[list[Path], dict[str, float]]:
+        files, rows, summaries = write_report(folder, plan, ArtifactStore(settings.store))
+        if rows:
+            print(markdown_table(rows), end="")
+            print(f"\nTable and figures: {folder}/")
+        return files, _headline(summaries)
+
+    return run_sweep(settings, name, plan, report)
+
+
+if __name__ == "__main__":
+    main("full_benchmark", HELP, _run)

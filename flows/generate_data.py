@@ -1,0 +1,68 @@
+"""Datasets alone: ``python -m flows.generate_data datasets=[mediocre-0.2]``; no argument makes all.
+
+Every dataset is also exported in Minari's HDF5 format below ``mlruns/minari``, so that other tools
+can load it: ``MINARI_DATASETS_PATH=mlruns/minari python -c "import minari; ..."``.
+"""
+
+from pathlib import Path
+
+from components.data.dataset import OfflineDataset
+from components.data.minari_exchange import export_minari, minari_id
+from flows.benchmark import data_plan, sweep_name
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.runner import Outcome
+from flows.pipeline.store import ArtifactStore
+from flows.session import main, run_sweep
+from flows.settings import Settings
+
+HELP = """\
+usage: python -m flows.generate_data [KEY=VALUE ...]
+
+Generate Industrial Benchmark datasets and export them for Minari. No argument makes all sixteen.
+
+  datasets=[a,b]      names in conf/dataset
+  data.seed=0         of the generation; equal seeds give equal bytes
+  data.trajectories=100 data.steps=1000
+  dry_run=true        show what would be made and stop
+"""
+
+
+def _export(dataset: OfflineDataset, root: Path) -> str:
+    """Export once per digest; a record beside the datasets says what is there."""
+    record = root / "digests.json"
+    known = read_json(record) or {}
+    name = minari_id(dataset.card.name)
+    if known.get(name) != dataset.card.digest or not (root / name).is_dir():
+        export_minari(dataset, root)
+        write_json(record, {**known, name: dataset.card.digest})
+    return name
+
+
+def _run(settings: Settings) -> int:
+    plan = data_plan(settings)
+    store = ArtifactStore(settings.store)
+
+    def report(outcome: Outcome) -> tuple[list[Path], dict[str, float]]:
+        metrics = {}
+        root = Path(settings.store) / "minari"
+        root.mkdir(parents=True, exist_ok=True)
+        print(f"{'dataset':<14}{'mean return':>12}{'min':>9}{'max':>9}  folder and Minari id")
+        for node in plan:
+            if not store.complete(node.key):
+                continue
+            folder = store.path(node.key) / "dataset"
+            dataset = OfflineDataset.open(folder)
+            card = dataset.card
+            print(
+                f"{card.name:<14}{card.first_window_return_mean:>12.1f}"
+                f"{card.first_window_return_min:>9.1f}{card.first_window_return_max:>9.1f}"
+                f"  {settings.store / folder.relative_to(store.root)}  {_export(dataset, root)}"
+            )
+            metrics[f"return/{card.name}"] = card.first_window_return_mean
+        return [], metrics
+
+    return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, report)
+
+
+if __name__ == "__main__":
+    main("generate_data", HELP, _run)

@@ -1,0 +1,80 @@
+"""How MLflow is started here: quietly, with a database that is whole, and with known origins."""
+
+import getpass
+import logging
+import os
+import re
+import sqlite3
+import subprocess
+from pathlib import Path
+from typing import Any
+
+__all__ = ["import_mlflow", "make_database", "origin", "without_password"]
+
+
+def import_mlflow() -> Any:
+    """Imports MLflow without telemetry, printed addresses and long retries."""
+    for name, value in {
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+        "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+        # A server that is gone should be reported in seconds, not after minutes of retries.
+        "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+        "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
+    }.items():
+        os.environ.setdefault(name, value)
+    import mlflow
+
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    return mlflow
+
+
+def make_database(root: Path) -> None:
+    """Makes ROOT/mlflow.db with all its tables, in WAL mode, if there is none.
+
+    It grows under another name: a database whose maker was killed halfway stays unusable.
+    """
+    path = root / "mlflow.db"
+    if path.exists():
+        return
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    young = root / ".mlflow-young.db"
+    for leftover in root.glob(f"{young.name}*"):
+        leftover.unlink()
+    store = SqlAlchemyStore(f"sqlite:///{young}", (root / "artifacts").as_uri())
+    store.engine.dispose()
+    connection = sqlite3.connect(young)
+    try:
+        connection.execute("pragma journal_mode=WAL")
+        connection.execute("pragma wal_checkpoint(TRUNCATE)")
+    finally:
+        connection.close()
+    os.replace(young, path)
+
+
+def origin() -> dict[str, str]:
+    """Who runs what: the user and the commit, as far as they are known."""
+    origin = {}
+    try:
+        origin["mlflow.user"] = getpass.getuser()
+    except (KeyError, OSError):
+        origin["mlflow.user"] = "unknown"
+    try:
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        ).stdout.strip()
+        origin["mlflow.source.git.commit"] = commit
+    except (OSError, subprocess.SubprocessError):
+        pass
+    return origin
+
+
+def without_password(uri: str) -> str:
+    """An address as it may be printed."""
+    return re.sub(r"//[^/@]*@", "//", uri)

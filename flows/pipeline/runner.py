@@ -1,0 +1,283 @@
+"""Runs a plan: reuses what is finished, starts what is ready, records what ends, survives the rest.
+
+The driver may be killed at any line. A node is finished when its artifact folder exists; everything
+else (MLflow runs, the display, this process) is derived from that and made good at the next start.
+"""
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from flows.pipeline.board import Board
+from flows.pipeline.errors import LedgerError
+from flows.pipeline.executors import Executor
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.schedule import Group, form_groups
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.worker import GroupCall, GroupResult
+
+__all__ = ["Ledger", "NullLedger", "Outcome", "run_plan"]
+
+_TICK = 0.5  # seconds between two looks at the display
+_LEDGER_PAUSE = 60.0  # seconds before a ledger that refused is asked again
+
+
+class Ledger(Protocol):
+    """Whoever remembers nodes for people; the driver alone talks to it."""
+
+    def log_node(self, node: Node, folder: Path) -> None:
+        """Remembers a finished node; does nothing new for one it knows."""
+
+    def log_failure(self, node: Node, reason: str) -> None:
+        """Remembers a failed node."""
+
+
+class NullLedger:
+    """Remembers nothing."""
+
+    def log_node(self, node: Node, folder: Path) -> None:
+        """Does nothing."""
+
+    def log_failure(self, node: Node, reason: str) -> None:
+        """Does nothing."""
+
+
+@dataclass
+class Outcome:
+    """What became of a plan.
+
+    Attributes:
+        finished: Keys computed in this run.
+        reused: Keys that were finished before.
+        failed: Traceback or reason by key.
+        skipped: By key of a node not run, the key of the failed node it needs.
+        interrupted: Whether somebody pressed Ctrl-C.
+        unrecorded: Why finished nodes are missing in the ledger; empty if none is.
+    """
+
+    finished: list[str] = field(default_factory=list)
+    reused: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
+    interrupted: bool = False
+    unrecorded: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Whether every node of the plan is finished."""
+        return not (self.failed or self.skipped or self.interrupted)
+
+    @property
+    def status(self) -> str:
+        """MLflow's word for it: FINISHED, FAILED or KILLED."""
+        if self.interrupted:
+            return "KILLED"
+        return "FINISHED" if self.complete else "FAILED"
+
+    @property
+    def exit_code(self) -> int:
+        """0 if all is finished and recorded, 130 after Ctrl-C, else 1."""
+        if self.interrupted:
+            return 130
+        return 0 if self.complete and not self.unrecorded else 1
+
+
+def run_plan(
+    plan: Plan,
+    store: ArtifactStore,
+    ledger: Ledger,
+    display: Display,
+    *,
+    executor: Executor,
+    command: str = "the same command",
+) -> Outcome:
+    """Computes everything in the plan that is not finished yet.
+
+    Args:
+        plan: What is wanted.
+        store: Where artifacts lie.
+        ledger: Who remembers them.
+        display: Who shows what happens.
+        executor: Who does the work.
+        command: How to continue after an interrupt, for the message.
+
+    Returns:
+        What became of every node. Nothing is raised for failed nodes.
+
+    Raises:
+        PipelineError: the sweep could not start at all.
+    """
+    return _Run(plan, store, ledger, display, executor, command).run()
+
+
+class _Run:
+    """One pass over a plan."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        store: ArtifactStore,
+        ledger: Ledger,
+        display: Display,
+        executor: Executor,
+        command: str,
+    ) -> None:
+        self.plan = plan
+        self.store = store
+        self.ledger = ledger
+        self.display = display
+        self.executor = executor
+        self.command = command
+        self.outcome = Outcome()
+        self.waiting: dict[str, Group] = {}
+        self.running: dict[str, Group] = {}
+        self.unlogged: list[tuple[Node, str | None]] = []
+        self.ledger_closed_until = float("-inf")
+        self.ledger_warned = False
+
+    def run(self) -> Outcome:
+        self.store.repair()
+        self.outcome.reused = [node.key for node in self.plan if self.store.complete(node.key)]
+        done = set(self.outcome.reused)
+        pending = [node.key for node in self.plan if node.key not in done]
+        groups = form_groups(self.plan, pending, self.store)
+        self.waiting = {group.name: group for group in groups}
+        self.board = Board(self.plan, groups, self.store, self.executor.slots, done)
+        self.display.start(self.board)
+        try:
+            if groups:
+                self.executor.start(self.display.note)
+                self.board.slots = self.executor.slots
+                self._submit()
+            for key in self.outcome.reused:
+                self._remember(self.plan[key], None)
+            while self.running:
+                self._step()
+            self._retry_ledger(last=True)
+        except KeyboardInterrupt:
+            self.outcome.interrupted = True
+        finally:
+            with _no_interrupts():
+                self.executor.stop()
+                self.display.stop(self.board)
+        if self.unlogged:
+            self.display.note(
+                f"{len(self.unlogged)} nodes are not in MLflow yet, but safe on disk. "
+                f"Record them with: {self.command}"
+            )
+        if self.outcome.interrupted:
+            self.display.note(
+                f"Interrupted; nothing finished is lost. Continue with: {self.command}"
+            )
+        return self.outcome
+
+    def _step(self) -> None:
+        results = self.executor.wait(_TICK)
+        records: list[tuple[Node, str | None]] = []
+        for result in results:
+            records += self._settle(result)
+        # Workers first: writing to the ledger may take seconds, and nobody should wait for that.
+        self._submit()
+        for node, reason in records:
+            self._remember(node, reason)
+        self._retry_ledger()
+        self.display.update(self.board)
+
+    def _submit(self) -> None:
+        # One more than can run, so that no worker idles while the ledger is being written.
+        room = self.executor.slots + 1 - len(self.running)
+        settled = self.waiting.keys() | self.running.keys()
+        ready = sorted(
+            (group for group in self.waiting.values() if not group.needs & settled),
+            key=lambda group: (-group.priority, group.name),
+        )
+        for group in ready[: max(0, room)]:
+            del self.waiting[group.name]
+            self.running[group.name] = group
+            self.store.progress_file(group.name).unlink(missing_ok=True)
+            self.executor.submit(
+                GroupCall.of(
+                    group.name,
+                    self.store.root,
+                    group.nodes,
+                    self.executor.device,
+                    self.executor.threads,
+                )
+            )
+            self.board.submitted(group.name)
+
+    def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
+        group = self.running.pop(result.group)
+        self.store.progress_file(group.name).unlink(missing_ok=True)
+        for key in [key for key in result.failed if self.store.complete(key)]:
+            # Published by a worker that died before it could say so.
+            result.finished.append(key)
+            del result.failed[key]
+        self.board.ended(group.name, result)
+        self.outcome.finished += result.finished
+        records: list[tuple[Node, str | None]] = [(self.plan[k], None) for k in result.finished]
+        for key, reason in result.failed.items():
+            records.append((self.plan[key], reason))
+            self.outcome.failed[key] = reason
+            last = (reason.strip() or "no reason given").splitlines()[-1]
+            self.display.note(f"{self.plan[key].component} {self.plan[key].name} failed: {last}")
+            for node in self.plan.downstream(key):
+                self._skip(node, key)
+        return records
+
+    def _skip(self, node: Node, because: str) -> None:
+        if node.key in self.outcome.skipped or self.store.complete(node.key):
+            return
+        self.outcome.skipped[node.key] = because
+        for name, group in list(self.waiting.items()):
+            # The others of the group run without it.
+            group.nodes = [member for member in group.nodes if member.key != node.key]
+            if not group.nodes:
+                del self.waiting[name]
+        self.board.skipped(node.key)
+
+    def _remember(self, node: Node, reason: str | None) -> None:
+        if time.monotonic() < self.ledger_closed_until:
+            self.unlogged.append((node, reason))
+            return
+        try:
+            if reason is None:
+                self.ledger.log_node(node, self.store.path(node.key))
+            else:
+                self.ledger.log_failure(node, reason)
+        except LedgerError as error:
+            if not self.ledger_warned:
+                self.display.note(f"{error} The work goes on.")
+                self.ledger_warned = True
+            self.outcome.unrecorded = str(error)
+            self.unlogged.append((node, reason))
+            self.ledger_closed_until = time.monotonic() + _LEDGER_PAUSE
+
+    def _retry_ledger(self, *, last: bool = False) -> None:
+        if last:
+            self.ledger_closed_until = float("-inf")
+        if not self.unlogged or time.monotonic() < self.ledger_closed_until:
+            return
+        again, self.unlogged = self.unlogged, []
+        self.outcome.unrecorded = ""
+        for node, reason in again:
+            self._remember(node, reason)
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Lets the tidying up finish however often somebody presses Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)

@@ -1,0 +1,188 @@
+"""Groups of nodes, the order in which they start, and how long all of it takes.
+
+The estimate plays the list schedule on paper with the same order the runner uses. Costs given by
+the plan are scaled by what finished nodes of the same component and algorithm really took.
+"""
+
+import heapq
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from flows.pipeline.plan import Node, Plan, digest
+from flows.pipeline.store import ArtifactStore
+
+__all__ = ["CostModel", "Group", "form_groups", "play"]
+
+
+@dataclass(eq=False)
+class Group:
+    """Nodes computed in one task call.
+
+    Attributes:
+        name: Digest of the members' keys.
+        nodes: The members.
+        needs: Names of the groups that must finish before.
+        priority: Cost of the longest chain of groups that starts here.
+    """
+
+    name: str
+    nodes: list[Node]
+    needs: set[str]
+    priority: float = 0.0
+
+    @property
+    def component(self) -> str:
+        """The component of all members."""
+        return self.nodes[0].component
+
+    @property
+    def keys(self) -> list[str]:
+        """The members' keys."""
+        return [node.key for node in self.nodes]
+
+
+def form_groups(plan: Plan, pending: Iterable[str], store: ArtifactStore) -> list[Group]:
+    """Divides the pending nodes into task calls, in an order in which they can run.
+
+    Args:
+        plan: The plan.
+        pending: Keys of the nodes to compute.
+        store: Where work begun earlier decides which nodes continue together.
+
+    Raises:
+        ValueError: nodes with equal `lanes` need one another, directly or through others.
+    """
+    wanted = set(pending)
+    lanes: dict[tuple[Any, ...], list[str]] = {}
+    for node in plan:
+        if node.key in wanted:
+            alone = node.lanes or node.key
+            identity = (node.component, node.task, node.version, bool(node.lanes), alone)
+            lanes.setdefault(identity, []).append(node.key)
+    groups = [
+        Group(digest(sorted(keys)), [plan[key] for key in keys], set())
+        for together in lanes.values()
+        for keys in store.split(together)
+    ]
+    home = {key: group.name for group in groups for key in group.keys}
+    for group in groups:
+        group.needs = {
+            home[source.key]
+            for node in group.nodes
+            for source in node.inputs.values()
+            if source.key in home
+        }
+    groups = _in_order(groups)
+    _prioritise(groups)
+    return groups
+
+
+def _in_order(groups: list[Group]) -> list[Group]:
+    ordered: list[Group] = []
+    done: set[str] = set()
+    rest = groups
+    while rest:
+        ready = [group for group in rest if group.needs <= done]
+        if not ready:
+            raise ValueError(
+                f"The lane group {rest[0].nodes[0].lanes!r} waits for itself: "
+                "nodes that need one another must have different lanes."
+            )
+        ordered += ready
+        done |= {group.name for group in ready}
+        rest = [group for group in rest if group.name not in done]
+    return ordered
+
+
+def _prioritise(groups: list[Group]) -> None:
+    by_name = {group.name: group for group in groups}
+    for group in reversed(groups):
+        group.priority += sum(node.cost for node in group.nodes)
+        for need in group.needs:
+            source = by_name[need]
+            source.priority = max(source.priority, group.priority)
+
+
+class CostModel:
+    """Seconds a node takes, from its planned cost and from what was measured."""
+
+    def __init__(self, records: Iterable[Mapping[str, Any]] = ()) -> None:
+        """Starts from what finished nodes recorded in their `node.json`."""
+        self._ratios: dict[tuple[str, str], list[float]] = {}
+        for record in records:
+            self.learn(record)
+
+    @property
+    def measured(self) -> bool:
+        """Whether any measurement is behind the estimate."""
+        return bool(self._ratios)
+
+    def learn(self, record: Mapping[str, Any]) -> None:
+        """Adds one finished node; one that was continued after a kill says nothing."""
+        if record.get("resumed") or not record.get("cost"):
+            return
+        name = (record["component"], record.get("tags", {}).get("algorithm", ""))
+        self._ratios.setdefault(name, []).append(float(record["seconds"]) / float(record["cost"]))
+
+    def seconds(self, nodes: Iterable[Node]) -> float:
+        """Expected seconds of nodes computed in one call."""
+        return sum(node.cost * self._ratio(node) for node in nodes)
+
+    def _ratio(self, node: Node) -> float:
+        known = self._ratios.get((node.component, node.tags.get("algorithm", "")))
+        if known is None:
+            known = [
+                ratio
+                for (component, _), ratios in self._ratios.items()
+                if component == node.component
+                for ratio in ratios
+            ]
+        # The newest ones: they come from code and load most like the present.
+        return median(known[-50:]) if known else 1.0
+
+
+def play(
+    groups: Iterable[Group],
+    seconds: Mapping[str, float],
+    slots: int,
+    started: Collection[str] = (),
+) -> dict[str, float]:
+    """Plays the schedule on paper.
+
+    Args:
+        groups: The groups not finished, in an order in which they can run.
+        seconds: What each of them still takes, by name.
+        slots: How many run at once.
+        started: Names of those that run already.
+
+    Returns:
+        Seconds from now to the end of each group, by name.
+    """
+    waiting = {group.name: group for group in groups}
+    missing = {name: group.needs & waiting.keys() for name, group in waiting.items()}
+    followers: dict[str, list[str]] = {name: [] for name in waiting}
+    for name, needs in missing.items():
+        for need in needs:
+            followers[need].append(name)
+    ready = [
+        (name not in started, -group.priority, name)
+        for name, group in waiting.items()
+        if not missing[name]
+    ]
+    heapq.heapify(ready)
+    running: list[tuple[float, str]] = []
+    ends: dict[str, float] = {}
+    now = 0.0
+    while ready or running:
+        while ready and len(running) < max(1, slots):
+            *_, name = heapq.heappop(ready)
+            heapq.heappush(running, (now + seconds[name], name))
+        now, name = heapq.heappop(running)
+        ends[name] = now
+        for follower in followers[name]:
+            missing[follower] = missing[follower] - {name}
+            if not missing[follower]:
+                heapq.heappush(ready, (True, -waiting[follower].priority, follower))
+    return ends

@@ -1,0 +1,119 @@
+"""What all doors share: settings from the command line, store, ledger, one sentence on error."""
+
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+
+from flows.pipeline.errors import PipelineError
+from flows.pipeline.executors import Executor, RayExecutor, SerialExecutor
+from flows.pipeline.ledger import MlflowLedger
+from flows.pipeline.plan import Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.store import ArtifactStore
+from flows.settings import Settings, SettingsError, load_settings
+
+__all__ = ["Report", "main", "run_sweep"]
+
+Report = Callable[[Outcome], tuple[Sequence[Path], dict[str, float]]]
+
+
+def main(door: str, help_text: str, body: Callable[[Settings], int]) -> None:
+    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0."""
+    arguments = sys.argv[1:]
+    if any(word in ("-h", "--help", "help") for word in arguments):
+        print(help_text)
+        sys.exit(0)
+    try:
+        settings = load_settings(arguments)
+    except SettingsError as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        sys.exit(2)
+    try:
+        code = body(settings)
+    except (PipelineError, OSError, ValueError) as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print(f"{door}: interrupted; the same command continues.", file=sys.stderr)
+        code = 130
+    sys.exit(code)
+
+
+def _executor(settings: Settings) -> Executor:
+    runner = settings.runner
+    device = runner.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    elif device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
+    if runner.executor == "serial":
+        return SerialExecutor(device=device, threads=runner.threads)
+    return RayExecutor(cpus=runner.cpus, threads=runner.threads, device=device)
+
+
+def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
+    """Show the plan, run what is not finished, record and report it.
+
+    Args:
+        settings: Where and how.
+        name: Of the sweep.
+        plan: What.
+        report: Called at the end, also of a partial sweep; returns the files and metrics to keep
+            with the sweep.
+
+    Returns:
+        The exit code.
+    """
+    store = ArtifactStore(settings.store)
+    display = Display()
+    executor = _executor(settings)
+    display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
+    display.show_plan(plan, store, executor.slots)
+    if settings.dry_run:
+        return 0
+    command = shlex.join(["python", *_command_words()])
+    ledger = MlflowLedger(settings.store, source=_command_words()[1])
+    tags = {"profile": settings.profile_name, "command": command}
+    ledger.open_sweep(
+        name,
+        tags,
+        {
+            "datasets": ",".join(settings.datasets),
+            "algorithms": ",".join(settings.algorithms),
+            "seeds": ",".join(map(str, settings.seeds)),
+        },
+        plan,
+    )
+    status = "FAILED"
+    files: Sequence[Path] = ()
+    metrics: dict[str, float] = {}
+    try:
+        outcome = run_plan(plan, store, ledger, display, executor=executor, command=command)
+        files, metrics = report(outcome)
+        status = outcome.status
+    finally:
+        ledger.close_sweep(status, files, metrics)
+    _name_missing(display, plan, outcome)
+    return outcome.exit_code
+
+
+def _command_words() -> list[str]:
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    return ["-m", module.name if module else sys.argv[0], *sys.argv[1:]]
+
+
+def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:
+    """List what is missing and why."""
+    for key, reason in outcome.failed.items():
+        lines = reason.strip().splitlines() or ["no reason given"]
+        display.console.print(f"missing {plan[key].name}: {lines[-1]}", markup=False)
+    for key, because in outcome.skipped.items():
+        display.console.print(
+            f"missing {plan[key].name}: needs {plan[because].name}, which failed", markup=False
+        )
+    if outcome.unrecorded:
+        display.console.print(outcome.unrecorded, markup=False)

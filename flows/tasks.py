@@ -1,0 +1,253 @@
+"""The components as task functions of the pipeline: read inputs, call the science, write artifacts.
+
+Each function gets the nodes of one group. Seeds of one (dataset, algorithm) pair arrive together
+and are trained and evaluated as lanes of one program; what a lane computes does not depend on the
+others.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from components.aggregation.statistics import pool_policies, summarise
+from components.algorithms import ALGORITHMS
+from components.algorithms.base import Ingredients
+from components.algorithms.train import train_policies
+from components.data.catalogue import DatasetSpec, generate
+from components.data.dataset import OfflineDataset
+from components.data.lanes import LaneData
+from components.evaluation.real import EvaluationConfig, evaluate_policies
+from components.models.behaviour_policy import BehaviourPolicyConfig, fit_behaviour_policies
+from components.models.recurrent_ensemble import (
+    RecurrentEnsemble,
+    RecurrentEnsembleConfig,
+    fit_recurrent_ensemble,
+)
+from components.networks.policy import Policy
+from components.networks.streams import lane_key
+from components.networks.training import Curves
+from flows.memory import keep_freed_memory
+from flows.pipeline.task import Job, TaskContext
+
+__all__ = [
+    "aggregate",
+    "evaluate",
+    "fit_behaviour_policy",
+    "fit_transition_ensemble",
+    "generate_dataset",
+    "train",
+]
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+
+
+def _write_curves(path: Path, curves: Mapping[str, tuple[Sequence[int], Sequence[float]]]) -> None:
+    arrays = {}
+    for name, (steps, values) in curves.items():
+        arrays[f"{name}/step"] = np.asarray(steps, dtype=np.int64)
+        arrays[f"{name}/value"] = np.asarray(values, dtype=np.float64)
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def _open_dataset(job: Job) -> OfflineDataset:
+    return OfflineDataset.open(job.inputs["dataset"] / "dataset")
+
+
+def _note_dataset(job: Job, dataset: OfflineDataset) -> None:
+    card = dataset.card
+    entry = {"name": card.name, "digest": card.digest[:32], "source": card.environment}
+    _write_json(job.out / "datasets.json", [entry])
+
+
+def _tuples(kind: type, fields: Mapping[str, Any]) -> Any:
+    """A configuration object from JSON, where tuples have become lists."""
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
+
+
+def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Data generation: `dataset/` holds the arrays and the card."""
+    for job in jobs:
+        dataset = generate(DatasetSpec(**job.config["spec"]), job.config["seed"])
+        dataset.write(job.out / "dataset")
+        card = dataset.card
+        _write_json(
+            job.out / "metrics.json",
+            {
+                "return/first_window_mean": card.first_window_return_mean,
+                "return/first_window_min": card.first_window_return_min,
+                "return/first_window_max": card.first_window_return_max,
+                "return/all_windows_mean": card.all_windows_return_mean,
+                "transitions": dataset.transitions,
+            },
+        )
+        _note_dataset(job, dataset)
+
+
+def fit_behaviour_policy(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Model fitting: `policy/` holds the clone of the logged behaviour."""
+    for job in jobs:
+        dataset = _open_dataset(job)
+        policies, metrics, curves = fit_behaviour_policies(
+            [dataset],
+            _tuples(BehaviourPolicyConfig, job.config["model"]),
+            [lane_key(dataset.card.name, "behaviour_policy", job.config["seed"])],
+            torch.device(context.device),
+            context.work / f"{job.key}.safetensors",
+            context.progress,
+        )
+        (job.out / "policy").mkdir()
+        policies[0].save(job.out / "policy")
+        _write_json(job.out / "metrics.json", metrics[0])
+        _write_curves(job.out / "curves.npz", curves.of_lane(0))
+        _note_dataset(job, dataset)
+
+
+def fit_transition_ensemble(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Model fitting: `ensemble.safetensors` holds the recurrent transition ensemble."""
+    for job in jobs:
+        dataset = _open_dataset(job)
+        ensemble, metrics, curves = fit_recurrent_ensemble(
+            dataset,
+            RecurrentEnsembleConfig(**job.config["model"]),
+            lane_key(dataset.card.name, "recurrent_ensemble", job.config["seed"]),
+            torch.device(context.device),
+            context.work / f"{job.key}.safetensors",
+            context.progress,
+        )
+        ensemble.save(job.out / "ensemble.safetensors")
+        _write_json(job.out / "metrics.json", metrics)
+        _write_curves(job.out / "curves.npz", _by_network(curves, ensemble.members))
+        _note_dataset(job, dataset)
+
+
+def _by_network(curves: Curves, members: int) -> dict[str, tuple[list[int], list[float]]]:
+    names = [f"{target}{k}" for target in ("fatigue", "consumption") for k in range(members)]
+    return {
+        f"{metric}/{name}": series
+        for lane, name in enumerate(names)
+        for metric, series in curves.of_lane(lane).items()
+    }
+
+
+def train(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Policy training: `policy/` holds the snapshots of a run; one lane per job."""
+    keep_freed_memory()
+    algorithm = jobs[0].config["algorithm"]
+    module = ALGORITHMS[algorithm]
+    config = _tuples(module.Config, jobs[0].config["settings"])
+    datasets = [_open_dataset(job) for job in jobs]
+    data = LaneData(datasets, torch.device(context.device), module.FRAME_EPSILON)
+    parts = Ingredients(
+        data=data,
+        keys=[
+            lane_key(d.card.name, algorithm, j.config["seed"])
+            for d, j in zip(datasets, jobs, strict=True)
+        ],
+        behaviour_policies=[
+            Policy.load(job.inputs["behaviour_policy"] / "policy")
+            for job in jobs
+            if "behaviour_policy" in module.NEEDS
+        ],
+        recurrent_ensembles=[
+            RecurrentEnsemble.load(job.inputs["recurrent_ensemble"] / "ensemble.safetensors")
+            for job in jobs
+            if "recurrent_ensemble" in module.NEEDS
+        ],
+    )
+    policies, curves = train_policies(
+        algorithm,
+        module.Learner(config, parts),
+        datasets,
+        [job.key for job in jobs],
+        updates=config.updates,
+        snapshots=jobs[0].config["snapshots"],
+        takes_lambda=module.TAKES_LAMBDA,
+        work=context.work,
+        progress=context.progress,
+    )
+    for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
+        (job.out / "policy").mkdir()
+        policy.save(job.out / "policy")
+        series = curves.of_lane(lane)
+        _write_curves(job.out / "curves.npz", series)
+        _write_json(job.out / "metrics.json", {k: v[-1] for k, (_, v) in series.items() if v})
+        _note_dataset(job, datasets[lane])
+
+
+def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
+    first = jobs[0].config
+    config = EvaluationConfig(**first["evaluation"])
+    policies = [Policy.load(job.inputs["policy"] / "policy") for job in jobs]
+    results = evaluate_policies(
+        policies,
+        [Policy.load(job.inputs["behaviour_policy"] / "policy") for job in jobs],
+        first["environment"],
+        first["parameters"],
+        config,
+        [lane_key("evaluation", *job.config["stream"]) for job in jobs],
+        torch.device(context.device),
+        context.progress,
+    )
+    for job, policy, result in zip(jobs, policies, results, strict=True):
+        with (job.out / "returns.npz").open("wb") as file:
+            np.savez(
+                file,
+                lambdas=result.lambdas,
+                returns=result.returns,
+                distances=result.distances,
+                steps=np.asarray(policy.card.steps),
+            )
+        means = result.returns.mean(axis=-1)  # [S, lambdas]
+        curves, metrics = {}, {}
+        for column, value in enumerate(result.lambdas):
+            suffix = "" if np.isnan(value) else f"/lambda_{value:.2f}"
+            curves[f"evaluation/return{suffix}"] = (policy.card.steps, means[:, column])
+            metrics[f"final/return{suffix}"] = float(means[-1, column])
+            metrics[f"final/distance{suffix}"] = float(result.distances[-1, column])
+        _write_curves(job.out / "curves.npz", curves)
+        _write_json(job.out / "metrics.json", metrics)
+
+
+def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Aggregation: `summary.json` holds the statistics of a (dataset, algorithm) pair."""
+    for job in jobs:
+        seeds = job.config["seeds"]
+        stored = []
+        for seed in seeds:
+            with np.load(job.inputs[f"seed{seed}"] / "returns.npz", allow_pickle=False) as arrays:
+                stored.append({name: arrays[name] for name in arrays.files})
+        last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
+        pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
+        per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
+        distances = np.stack([s["distances"][-last:] for s in stored]).mean(axis=(0, 1))
+        points, metrics = [], {}
+        for column, value in enumerate(stored[0]["lambdas"]):
+            fixed = bool(np.isnan(value))
+            statistics = summarise(pool[:, column]).as_dict()
+            spread = float(per_seed[:, column].std(ddof=1)) if len(seeds) > 1 else 0.0
+            points.append(
+                {
+                    "lambda": None if fixed else float(value),
+                    **statistics,
+                    "seed_std": spread,
+                    "distance": float(distances[column]),
+                }
+            )
+            suffix = "" if fixed else f"/lambda_{value:.2f}"
+            metrics |= {f"{name}{suffix}": number for name, number in statistics.items()}
+        summary = {
+            "dataset": job.config["dataset"],
+            "algorithm": job.config["algorithm"],
+            "seeds": seeds,
+            "points": points,
+        }
+        _write_json(job.out / "summary.json", summary)
+        _write_json(job.out / "metrics.json", metrics)

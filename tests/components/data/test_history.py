@@ -1,0 +1,46 @@
+"""Histories gathered from frames stored once, against a loop, in NumPy and in torch."""
+
+import numpy as np
+import torch
+
+from components.data.history import gather_history, history_rows
+
+LENGTHS = (1, 5, 2)  # transitions of three episodes; frames are one more each
+FRAMES = np.random.default_rng(0).random((sum(LENGTHS) + len(LENGTHS), 4)).astype(np.float32)
+FIRST = np.array([0, 2, 2, 2, 2, 2, 8, 8])
+NEWEST = np.array([0, 2, 3, 4, 5, 6, 8, 9])
+
+
+def by_loop(length: int) -> np.ndarray:
+    rows = []
+    for newest, first in zip(NEWEST, FIRST, strict=True):
+        frames = []
+        row = newest
+        for _ in range(length):
+            frames.append(FRAMES[row])
+            row = row - 1 if row > first else first
+        rows.append(np.concatenate(frames))
+    return np.stack(rows)
+
+
+def test_rows_are_newest_first_and_stop_at_the_first_frame() -> None:
+    rows = history_rows(np.array([5, 2]), np.array([2, 2]), 5)
+    assert rows.tolist() == [[5, 4, 3, 2, 2], [2, 2, 2, 2, 2]]
+
+
+def test_numpy_and_torch_gather_what_a_loop_gathers() -> None:
+    for length in (1, 3, 30):
+        expected = by_loop(length)
+        gathered = gather_history(FRAMES, NEWEST, FIRST, length)
+        np.testing.assert_array_equal(gathered, expected)
+        on_device = gather_history(
+            torch.from_numpy(FRAMES), torch.from_numpy(NEWEST), torch.from_numpy(FIRST), length
+        )
+        assert on_device.dtype == torch.float32
+        np.testing.assert_array_equal(on_device.numpy(), expected)
+
+
+def test_batches_of_any_shape() -> None:
+    newest = torch.tensor([[2, 3], [4, 5], [6, 9]])
+    first = torch.tensor([[2, 2], [2, 2], [2, 8]])
+    assert gather_history(torch.from_numpy(FRAMES), newest, first, 3).shape == (3, 2, 12)

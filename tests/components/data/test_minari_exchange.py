@@ -1,0 +1,117 @@
+"""Exchange with Minari: alignment, names, other tools' view, and the way back."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import minari
+import numpy as np
+import pytest
+
+from components.data.catalogue import DATASETS, generate
+from components.data.dataset import OfflineDataset
+from components.data.minari_exchange import export_minari, import_minari, minari_id
+
+
+@pytest.fixture(scope="module")
+def dataset() -> OfflineDataset:
+    return generate(dataclasses.replace(DATASETS["mediocre-0.2"], trajectories=3, steps=40), seed=0)
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    return tmp_path / "minari"
+
+
+def test_names_hold_no_dots() -> None:
+    assert minari_id("mediocre-0.2") == "proximity/mediocre-0p2-v0"
+    assert minari_id("bad-0.0", stacked=True) == "proximity/bad-0p0-stacked-v0"
+
+
+def test_another_tool_finds_aligned_episodes(dataset: OfflineDataset, root: Path) -> None:
+    name = export_minari(dataset, root)
+    assert list(minari.list_local_datasets()) == [name]
+    loaded = minari.load_dataset(name)
+    assert loaded.total_episodes == 3
+    assert loaded.total_steps == 120
+    for index, episode in enumerate(loaded.iterate_episodes()):
+        first, action = 41 * index, 40 * index
+        assert episode.observations.shape == (41, 6)
+        assert episode.actions.shape == (40, 3)
+        np.testing.assert_array_equal(episode.observations, dataset.frames[first : first + 41])
+        np.testing.assert_array_equal(episode.actions, dataset.actions[action : action + 40])
+        np.testing.assert_array_equal(episode.rewards, dataset.rewards[action : action + 40])
+        assert episode.truncations.tolist() == [False] * 39 + [True]
+        assert not episode.terminations.any()
+        # physics, not bookkeeping: action t leads from observation t to observation t + 1
+        sizes = np.array([1.0, 10.0, 5.7515])
+        moved = np.clip(episode.observations[:-1, 1:4] + sizes * episode.actions, 0.0, 100.0)
+        # float32 near 100, and a shift step given with five digits
+        np.testing.assert_allclose(episode.observations[1:, 1:4], moved, atol=1e-4)
+        costs = 3.0 * episode.observations[1:, 4] + episode.observations[1:, 5]
+        np.testing.assert_allclose(episode.rewards, -costs / 100.0, rtol=1e-5)  # float32
+
+
+@pytest.mark.filterwarnings("ignore:Package proximity-bench")
+def test_environment_is_recovered_with_the_datasets_spaces(
+    dataset: OfflineDataset, root: Path
+) -> None:
+    for stacked in (False, True):
+        loaded = minari.load_dataset(export_minari(dataset, root, stacked=stacked))
+        environment = loaded.recover_environment()
+        assert environment.observation_space == loaded.observation_space
+        assert environment.action_space == loaded.action_space
+        observation, _ = environment.reset(seed=0)
+        assert observation[0] == 70.0
+        assert all(
+            loaded.observation_space.contains(observation) for observation in loaded[0].observations
+        )
+
+
+@pytest.mark.parametrize("stacked", [False, True])
+def test_round_trip(dataset: OfflineDataset, root: Path, stacked: bool) -> None:
+    imported = import_minari(export_minari(dataset, root, stacked=stacked), root)
+    assert imported.card == dataset.card
+    for name, array in dataset.arrays().items():
+        returned = imported.arrays()[name]
+        assert returned.dtype == array.dtype
+        np.testing.assert_array_equal(returned, array)
+
+
+def test_stacked_observations_are_newest_first(dataset: OfflineDataset, root: Path) -> None:
+    loaded = minari.load_dataset(export_minari(dataset, root, stacked=True))
+    observations = loaded[1].observations.reshape(41, 30, 6)
+    for step, lag, row in ((0, 0, 0), (0, 29, 0), (5, 2, 3), (5, 7, 0), (40, 29, 11)):
+        np.testing.assert_array_equal(observations[step, lag], dataset.frames[41 + row])
+
+
+def test_export_leaves_the_environment_variable_and_no_litter(
+    dataset: OfflineDataset, root: Path, tmp_path: Path
+) -> None:
+    before = os.environ["MINARI_DATASETS_PATH"]
+    other = tmp_path / "other"
+    export_minari(dataset, other)
+    assert os.environ["MINARI_DATASETS_PATH"] == before
+    assert [path.name for path in other.iterdir()] == ["proximity"]
+    with pytest.raises(ValueError, match="exists; remove it"):
+        export_minari(dataset, other)
+    assert [path.name for path in other.iterdir()] == ["proximity"]
+
+
+def test_import_refuses_what_it_cannot_trust(dataset: OfflineDataset, root: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no Minari dataset"):
+        import_minari("proximity/none-v0", root)
+    name = export_minari(dataset, root)
+    metadata = root / name / "data" / "metadata.json"
+    values = json.loads(metadata.read_text())
+    card = json.loads(values["proximity_dataset_card"])
+    card["digest"] = "0" * 64
+    metadata.write_text(json.dumps({**values, "proximity_dataset_card": json.dumps(card)}))
+    with pytest.raises(ValueError, match="digest on its card"):
+        import_minari(name, root)
+    del values["proximity_dataset_card"]
+    metadata.write_text(json.dumps(values))
+    with pytest.raises(ValueError, match="no dataset card"):
+        import_minari(name, root)

@@ -1,0 +1,29 @@
+"""A driver with Ray and MLflow, to be killed.
+
+python -m tests.flows.pipeline.ray_driver STORE LOG
+"""
+
+import sys
+from pathlib import Path
+
+from flows.pipeline.executors import RayExecutor
+from flows.pipeline.ledger import MlflowLedger
+from flows.pipeline.plan import Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import run_plan
+from flows.pipeline.store import ArtifactStore
+from tests.flows.pipeline.toys import count, diamond
+
+
+def main(home: Path, log: Path) -> int:
+    """Runs the diamond on two processors."""
+    store, plan, ledger = ArtifactStore(home), Plan(diamond(log, pause=0.2)), MlflowLedger(home)
+    ledger.open_sweep("killed", plan=plan)
+    count(str(log), "drivers")
+    outcome = run_plan(plan, store, ledger, Display(), executor=RayExecutor(cpus=2))
+    ledger.close_sweep(outcome.status)
+    return outcome.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2])))

@@ -1,0 +1,256 @@
+"""The serial runner: results, reuse, failures that stay alone, continuation from checkpoints."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from flows.pipeline.errors import LedgerError, StoreError
+from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import Ledger, NullLedger, Outcome, run_plan
+from flows.pipeline.store import ArtifactStore
+from tests.flows.pipeline.toys import counted, diamond, node
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    (tmp_path / "log").mkdir()
+    return tmp_path / "log"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ArtifactStore:
+    return ArtifactStore(tmp_path / "mlruns")
+
+
+class Screen(Display):
+    """A display that remembers."""
+
+    def __init__(self) -> None:
+        super().__init__(Console(file=io.StringIO(), width=200))
+
+    @property
+    def text(self) -> str:
+        return self.console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def run(
+    nodes: list[Node],
+    store: ArtifactStore,
+    screen: Display | None = None,
+    ledger: Ledger | None = None,
+) -> Outcome:
+    return run_plan(
+        Plan(nodes),
+        store,
+        ledger or NullLedger(),
+        screen or Screen(),
+        executor=SerialExecutor(),
+        command="make it so",
+    )
+
+
+def value(store: ArtifactStore, wanted: Node) -> float:
+    return read_json(store.path(wanted.key) / "value.json")
+
+
+def fast_diamond(log: Path) -> Node:
+    return diamond(log, pause=0.0)[0]
+
+
+def test_plan_is_computed_then_reused(store: ArtifactStore, log: Path) -> None:
+    last = fast_diamond(log)
+    first = run([last], store)
+    assert (first.status, first.exit_code, len(first.finished)) == ("FINISHED", 0, 9)
+    # Two groups of lanes with numbers 1, 2, 3, each added up over 20 steps.
+    assert value(store, last) == 2 * 20 * (1 + 2 + 3)
+    assert list(store.work.iterdir()) == []
+    assert list((store.root / "progress").iterdir()) == []
+
+    screen = Screen()
+    second = run([last], store, screen)
+    assert second.finished == []
+    assert len(second.reused) == 9
+    assert counted(log, "finished-sum") == 1
+    assert "train: 6/6 (6 reused), done" in screen.text
+
+
+def test_another_sweep_reuses_what_it_shares(store: ArtifactStore, log: Path) -> None:
+    shared = node("number", "shared", log, number=2)
+    run([node("total", "one", log, {"a": shared})], store)
+    run([node("total", "two", log, {"a": shared, "b": shared})], store)
+    assert counted(log, "finished-shared") == 1
+    assert counted(log, "finished-two") == 1
+
+
+def test_node_json_says_what_the_artifact_is(store: ArtifactStore, log: Path) -> None:
+    source = node("number", "n", log, number=2)
+    last = node("total", "t", log, {"a": source})
+    run([last], store)
+    record = store.record(last.key)
+    assert record["inputs"] == {"a": source.key}
+    assert record["config"] == dict(last.config)
+    assert record["component"] == "toys"
+    assert record["finished"] >= record["started"]
+    assert record["wall_seconds"] >= 0
+    assert record["peak_rss_mib"] > 1
+    assert "Python" in record["hardware"]
+
+
+def test_failure_stops_only_what_needs_it(store: ArtifactStore, log: Path) -> None:
+    bad = node("fails", "bad", log, number=1)
+    good = node("number", "good", log, number=2)
+    needs = node("total", "needs", log, {"a": bad, "b": good})
+    far = node("total", "far", log, {"a": needs})
+    other = node("total", "other", log, {"a": good})
+    screen = Screen()
+    outcome = run([far, other], store, screen)
+    assert list(outcome.failed) == [bad.key]
+    assert "this toy fails on purpose" in outcome.failed[bad.key]
+    assert "Traceback" in outcome.failed[bad.key]
+    assert outcome.skipped == {needs.key: bad.key, far.key: bad.key}
+    assert set(outcome.finished) == {good.key, other.key}
+    assert (outcome.status, outcome.exit_code) == ("FAILED", 1)
+    assert "toys bad failed: ValueError: this toy fails on purpose" in screen.text
+    assert "2/5 (1 failed, 2 skipped)" in screen.text
+
+    (log / "repaired").touch()
+    again = run([far, other], store)
+    assert again.exit_code == 0
+    assert set(again.finished) == {bad.key, needs.key, far.key}
+    assert value(store, far) == 3.0
+    assert counted(log, "finished-good") == 1
+
+
+def test_lanes_run_without_the_one_whose_input_failed(store: ArtifactStore, log: Path) -> None:
+    sources = [node("fails_in_part", f"n{i}", log, number=i, lanes="n") for i in (-1, 1, 2)]
+    lanes = [node("total", f"t{i}", log, {"a": s}, lanes="t") for i, s in enumerate(sources)]
+    outcome = run(lanes, store)
+    assert outcome.failed == {sources[0].key: "the number is negative"}
+    assert list(outcome.skipped) == [lanes[0].key]
+    assert [value(store, lane) for lane in lanes[1:]] == [1.0, 2.0]
+
+
+def half_done(log: Path) -> list[Node]:
+    return [
+        node("steps", f"s{i}", log, lanes="s", number=i + 1, steps=8, hold=5, patience=0.0)
+        for i in range(3)
+    ]
+
+
+def test_group_continues_from_its_checkpoint(store: ArtifactStore, log: Path) -> None:
+    lanes = half_done(log)
+    assert set(run(lanes, store).failed) == {lane.key for lane in lanes}
+    assert counted(log, "step-s0") == 5
+    (log / "go").touch()
+    assert run(lanes, store).exit_code == 0
+    assert [value(store, lane) for lane in lanes] == [8.0, 16.0, 24.0]
+    assert counted(log, "step-s0") == 8
+    assert store.record(lanes[0].key)["resumed"]
+
+
+def test_partly_published_group_continues_from_its_checkpoint(
+    store: ArtifactStore, log: Path
+) -> None:
+    lanes = half_done(log)
+    run(lanes, store)
+    made = store.work / "by-somebody-else"
+    made.mkdir()
+    write_json(made / "node.json", {"key": lanes[1].key})
+    store.publish(made, lanes[1].key)
+    (log / "go").touch()
+    outcome = run(lanes, store)
+    assert outcome.reused == [lanes[1].key]
+    assert [value(store, lanes[i]) for i in (0, 2)] == [8.0, 24.0]
+    assert counted(log, "step-s0") == 8
+    assert counted(log, "step-s1") == 5
+    assert list(store.work.iterdir()) == []
+
+
+def test_fewer_then_more_lanes_share_one_checkpoint(store: ArtifactStore, log: Path) -> None:
+    lanes = half_done(log)
+    run(lanes[:2], store)
+    (log / "go").touch()
+    assert run(lanes[:1], store).exit_code == 0
+    assert run(lanes, store).exit_code == 0
+    assert [value(store, lane) for lane in lanes] == [8.0, 16.0, 24.0]
+    assert [counted(log, f"step-s{i}") for i in range(3)] == [8, 8, 8]
+    store.repair()
+    assert list(store.work.iterdir()) == []
+
+
+def test_damaged_artifact_stops_the_sweep_before_it_starts(store: ArtifactStore, log: Path) -> None:
+    first, second = (node("number", f"n{i}", log, number=i) for i in range(2))
+    run([first], store)
+    (store.path(first.key) / "node.json").unlink()
+    with pytest.raises(StoreError, match="delete that folder"):
+        run([first, second], store)
+    assert counted(log, "finished-n1") == 0
+
+
+def test_task_that_writes_nothing_or_is_missing_fails_clearly(
+    store: ArtifactStore, log: Path
+) -> None:
+    empty = node("count_nothing", "missing", log)
+    nothing = replace(empty, name="nothing", task="tests.flows.pipeline.toys:nothing")
+    outcome = run([empty, nothing], store)
+    assert "no task function 'count_nothing'" in outcome.failed[empty.key]
+    assert "wrote nothing for nothing" in outcome.failed[nothing.key]
+
+
+class BrokenLedger(NullLedger):
+    """Refuses until it is mended."""
+
+    def __init__(self) -> None:
+        self.broken = True
+        self.known: list[str] = []
+        self.asked = 0
+
+    def log_node(self, node: Node, folder: Path) -> None:
+        self.asked += 1
+        if self.broken:
+            raise LedgerError("MLflow is away: mend it.")
+        self.known.append(node.name)
+
+
+def test_ledger_that_refuses_costs_no_work(store: ArtifactStore, log: Path) -> None:
+    nodes = [node("number", f"n{i}", log, number=i) for i in range(5)]
+    ledger = BrokenLedger()
+    screen = Screen()
+    outcome = run(nodes, store, screen, ledger)
+    assert len(outcome.finished) == 5
+    assert outcome.unrecorded == "MLflow is away: mend it."
+    assert (outcome.status, outcome.exit_code) == ("FINISHED", 1)
+    assert screen.text.count("MLflow is away") == 1
+    assert ledger.asked < 5  # a server that does not answer is not asked for every node
+
+    ledger.broken = False
+    outcome = run(nodes, store, None, ledger)
+    assert outcome.exit_code == 0
+    assert sorted(ledger.known) == ["n0", "n1", "n2", "n3", "n4"]
+
+
+def test_interrupt_keeps_what_is_finished(store: ArtifactStore, log: Path) -> None:
+    first = node("number", "first", log, number=1, cost=9.0)
+    second = node("interrupted", "second", log, number=1)
+    screen = Screen()
+    outcome = run([first, second], store, screen)
+    assert outcome.interrupted
+    assert (outcome.status, outcome.exit_code) == ("KILLED", 130)
+    assert outcome.finished == [first.key]
+    assert "Continue with: make it so" in screen.text
+
+
+def test_longest_chain_starts_first(store: ArtifactStore, log: Path) -> None:
+    short = [node("number", f"short{i}", log, number=i, cost=2.0) for i in range(2)]
+    head = node("number", "head", log, number=1, cost=0.5)
+    tail = node("total", "tail", log, {"a": head}, cost=5.0)
+    outcome = run([*short, tail], store)
+    order = [Plan([*short, tail])[key].name for key in outcome.finished]
+    assert order.index("head") == 0
+    assert order.index("tail") < max(order.index("short0"), order.index("short1"))

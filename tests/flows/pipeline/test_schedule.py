@@ -1,0 +1,164 @@
+"""Groups, their order, the estimate, and what people are shown of it."""
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from flows.pipeline.board import Board
+from flows.pipeline.files import write_json
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.progress import Display, duration
+from flows.pipeline.schedule import CostModel, Group, form_groups, play
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.worker import GroupResult
+from tests.flows.pipeline.toys import node
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ArtifactStore:
+    return ArtifactStore(tmp_path / "mlruns", create=False)
+
+
+def fan(log: Path) -> Plan:
+    """Two sources of 1 s, on each two lanes of 2 s in all, one sum of 3 s."""
+    sources = [node("number", f"n{i}", log, component="data", number=i) for i in range(2)]
+    lanes = [
+        node("total", f"t{i}{k}", log, {"a": source}, component="train", lanes=f"t{i}", lane=k)
+        for i, source in enumerate(sources)
+        for k in range(2)
+    ]
+    inputs = {lane.name: lane for lane in lanes}
+    return Plan([node("total", "sum", log, inputs, component="collect", cost=3.0)])
+
+
+def groups_of(plan: Plan, store: ArtifactStore) -> list[Group]:
+    return form_groups(plan, [node.key for node in plan], store)
+
+
+def test_lanes_form_groups_with_priorities_along_the_chain(
+    store: ArtifactStore, tmp_path: Path
+) -> None:
+    groups = groups_of(fan(tmp_path), store)
+    names = [[node.name for node in group.nodes] for group in groups]
+    assert names == [["n0"], ["n1"], ["t00", "t01"], ["t10", "t11"], ["sum"]]
+    assert [group.priority for group in groups] == [6.0, 6.0, 5.0, 5.0, 3.0]
+    assert groups[2].needs == {groups[0].name}
+    assert groups[4].needs == {groups[2].name, groups[3].name}
+
+
+def test_lanes_that_wait_for_themselves_are_refused(store: ArtifactStore, tmp_path: Path) -> None:
+    first = node("total", "first", tmp_path, lanes="same")
+    between = node("total", "between", tmp_path, {"a": first})
+    last = node("total", "last", tmp_path, {"a": between}, lanes="same")
+    with pytest.raises(ValueError, match="'same' waits for itself"):
+        groups_of(Plan([last]), store)
+
+
+@pytest.mark.parametrize(("slots", "whole"), [(1, 9.0), (2, 6.0), (8, 6.0)])
+def test_estimate_plays_the_schedule(
+    store: ArtifactStore, tmp_path: Path, slots: int, whole: float
+) -> None:
+    groups = groups_of(fan(tmp_path), store)
+    costs = CostModel()
+    seconds = {group.name: costs.seconds(group.nodes) for group in groups}
+    # By hand: 1 + 1 + 2 + 2 + 3 one after the other; 1 + 2 + 3 with two at once.
+    assert max(play(groups, seconds, slots).values()) == whole
+
+
+def test_estimate_learns_from_what_was_measured(tmp_path: Path) -> None:
+    def record(component: str, algorithm: str, seconds: float, **more: bool) -> dict:
+        tags = {"algorithm": algorithm}
+        return {"component": component, "tags": tags, "cost": 2.0, "seconds": seconds, **more}
+
+    costs = CostModel([record("toys", "total", 10.0), record("toys", "other", 2.0)])
+    total = node("total", "t", tmp_path, cost=3.0)
+    assert costs.seconds([total]) == 15.0
+    costs.learn(record("toys", "total", 1000.0, resumed=True))
+    assert costs.seconds([total]) == 15.0
+    # An algorithm never seen takes the component's median ratio: between 5 and 1.
+    assert costs.seconds([node("number", "n", tmp_path, cost=3.0)]) == 9.0
+    assert costs.seconds([node("number", "n", tmp_path, component="new", cost=3.0)]) == 3.0
+
+
+class Screen(Display):
+    def __init__(self, *, terminal: bool = False) -> None:
+        self.file = io.StringIO()
+        super().__init__(Console(file=self.file, width=120, force_terminal=terminal))
+
+
+def test_plan_is_shown_with_counts_and_estimate(store: ArtifactStore, tmp_path: Path) -> None:
+    screen = Screen()
+    screen.show_plan(fan(tmp_path), store, 2)
+    lines = [line.split() for line in screen.file.getvalue().splitlines()]
+    assert ["data", "2", "0", "2", "2", "2", "s"] in lines
+    assert ["train", "4", "0", "4", "2", "4", "s"] in lines
+    assert "7 of 7 nodes to do, about 6 s with 2 at once (a rough guess)." in screen.file.getvalue()
+    assert not store.root.exists()  # a dry run leaves no trace
+
+
+def board_of(plan: Plan, store: ArtifactStore) -> tuple[Board, list[Group]]:
+    groups = groups_of(plan, store)
+    return Board(plan, groups, store, 2, ()), groups
+
+
+def test_board_counts_running_fractions_and_failures(tmp_path: Path) -> None:
+    store = ArtifactStore(tmp_path / "mlruns")
+    plan = fan(tmp_path)
+    board, groups = board_of(plan, store)
+    for group in groups[:2]:
+        board.submitted(group.name)
+    write_json(store.progress_file(groups[0].name), {"fraction": 0.5})
+    data, train, collect = board.lines()
+    assert (data.done, data.total, data.running) == (0, 2, 1)
+    assert data.fraction == 0.25
+    assert data.remaining is not None
+    # The other source is queued and takes its second; then two seconds of training.
+    assert train.remaining == pytest.approx(3.0, abs=0.2)  # time passes while we look
+    assert collect.remaining == pytest.approx(6.0, abs=0.2)
+
+    board.ended(groups[1].name, GroupResult(groups[1].name, failed={groups[1].keys[0]: "why"}))
+    for lane in list(groups[3].nodes):
+        groups[3].nodes.remove(lane)
+        board.skipped(lane.key)
+    data, train, _ = board.lines()
+    assert (data.failed, train.skipped, train.over) == (1, 2, False)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -> None:
+    store = ArtifactStore(tmp_path / "mlruns")
+    board, groups = board_of(fan(tmp_path), store)
+    screen = Screen(terminal=terminal)
+    screen.start(board)
+    made = store.work / "made"
+    made.mkdir()
+    source: Node = groups[0].nodes[0]
+    write_json(
+        made / "node.json",
+        {"key": source.key, "component": "data", "cost": 1.0, "seconds": 1.0, "tags": {}},
+    )
+    store.publish(made, source.key)
+    board.submitted(groups[0].name)
+    board.ended(groups[0].name, GroupResult(groups[0].name, finished=[source.key]))
+    screen.update(board)
+    screen.update(board)
+    screen.note("a [bracket] stays")
+    screen.stop(board)
+    text = screen.file.getvalue()
+    assert "a [bracket] stays" in text
+    assert "1/2" in text
+    if not terminal:
+        assert text.count("data: 1/2") == 1
+        assert "train" in text
+
+
+def test_durations_read_well() -> None:
+    assert [duration(s) for s in (0.4, 59, 61, 3599.7, 9000)] == [
+        "0 s",
+        "59 s",
+        "1 min 01 s",
+        "1 h 00 min",
+        "2 h 30 min",
+    ]

@@ -1,0 +1,192 @@
+"""Small tasks for the pipeline's own tests. Each counts its executions in a file outside the store.
+
+Configurations hold `log`, a folder: paths in a configuration are fine for toys only.
+"""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.plan import Node
+from flows.pipeline.task import Job, TaskContext
+
+HERE = "tests.flows.pipeline.toys"
+
+
+def wait_for(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+    """Polls until a condition holds; the one place where these tests wait."""
+    pause = threading.Event()
+    deadline = time.monotonic() + seconds
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            raise AssertionError(f"waited {seconds} s in vain for {what}")
+        pause.wait(0.02)
+    return value
+
+
+def count(log: str, word: str) -> None:
+    """Adds one line to a file; small appends of several processes do not mix."""
+    with open(Path(log) / word, "a", encoding="utf-8") as file:
+        file.write("x\n")
+
+
+def counted(log: Path, word: str) -> int:
+    """How often `count` was called."""
+    path = Path(log) / word
+    return len(path.read_text(encoding="utf-8").splitlines()) if path.exists() else 0
+
+
+def finish(job: Job, value: float) -> None:
+    """Writes an artifact with a value and a learning curve."""
+    write_json(job.out / "value.json", value)
+    write_json(job.out / "metrics.json", {"value": value})
+    steps = np.arange(10)
+    np.savez(
+        job.out / "curves.npz", **{"train/loss/step": steps, "train/loss/value": value + steps}
+    )
+    read = [{"name": "toy", "digest": "d" * 64, "source": "made up"}]
+    write_json(job.out / "datasets.json", read)
+    write_json(job.out / "tags.json", {"colour": "blue"})
+    (job.out / "deep").mkdir()
+    (job.out / "deep" / "blob.bin").write_bytes(b"blob")
+    count(job.config["log"], f"finished-{job.config['id']}")
+
+
+def number(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Writes the number of the configuration."""
+    for job in jobs:
+        finish(job, float(job.config["number"]))
+
+
+def total(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Adds the values of all inputs."""
+    for job in jobs:
+        finish(job, sum(read_json(folder / "value.json") for folder in job.inputs.values()))
+
+
+def steps(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Counts to `steps` for all lanes at once, with a checkpoint after each step.
+
+    With `hold` it waits at that step, as long as `patience` lets it, until a file named `go` is in
+    the log folder.
+    """
+    checkpoint = context.work / "checkpoint.json"
+    state = read_json(checkpoint) or {"step": 0, "values": {job.key: 0.0 for job in jobs}}
+    config = jobs[0].config
+    values = {job.key: state["values"][job.key] for job in jobs}
+    for step in range(state["step"], config["steps"]):
+        if step == config.get("hold"):
+            count(config["log"], "holding")
+            patience = config.get("patience", 60.0)
+            wait_for((Path(config["log"]) / "go").exists, "the file go", patience)
+        for job in jobs:
+            values[job.key] += job.config["number"]
+            count(config["log"], f"step-{job.config['id']}")
+        write_json(checkpoint, {"step": step + 1, "values": values})
+        context.progress((step + 1) / config["steps"])
+        if config.get("pause"):
+            threading.Event().wait(config["pause"])
+    for job in jobs:
+        finish(job, values[job.key])
+
+
+def fails(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Raises, unless a file named `repaired` is in the log folder."""
+    if not (Path(jobs[0].config["log"]) / "repaired").exists():
+        raise ValueError("this toy fails on purpose")
+    number(jobs, context)
+
+
+def fails_in_part(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Marks the jobs whose number is negative as failed and finishes the others."""
+    for job in jobs:
+        if job.config["number"] < 0:
+            job.fail("the number is negative")
+        else:
+            finish(job, job.config["number"])
+
+
+def threads(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Writes how many threads numerical libraries were allowed."""
+    for job in jobs:
+        finish(job, float(os.environ["OMP_NUM_THREADS"]))
+
+
+def nothing(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Forgets to write."""
+
+
+def interrupted(jobs: Sequence[Job], context: TaskContext) -> None:
+    """As if somebody pressed Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def dies_once(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Kills its own process after a checkpoint, the first time."""
+    if not (context.work / "met-death").exists():
+        (context.work / "met-death").touch()
+        count(jobs[0].config["log"], f"deaths-{jobs[0].config['id']}")
+        os.kill(os.getpid(), signal.SIGKILL)
+    number(jobs, context)
+
+
+def dies_always(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Kills its own process every time."""
+    count(jobs[0].config["log"], f"deaths-{jobs[0].config['id']}")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def node(
+    function: str,
+    name: str,
+    log: Path,
+    inputs: dict[str, Node] | None = None,
+    *,
+    component: str = "toys",
+    lanes: str = "",
+    cost: float = 1.0,
+    **config: Any,
+) -> Node:
+    """A node that runs one of these tasks."""
+    return Node(
+        component=component,
+        name=name,
+        task=f"{HERE}:{function}",
+        version=1,
+        config={"log": str(log), "id": name, **config},
+        inputs=inputs or {},
+        tags={"dataset": "toy", "algorithm": function, "seed": "0"},
+        lanes=lanes,
+        cost=cost,
+    )
+
+
+def diamond(log: Path, pause: float = 0.05) -> list[Node]:
+    """Two numbers, two groups of three counters on them, one sum."""
+    numbers = [
+        node("number", f"n{i}", log, component="data", number=i + 1, cost=0.1) for i in range(2)
+    ]
+    lanes = [
+        node(
+            "steps",
+            f"s{i}{lane}",
+            log,
+            {"start": source},
+            component="train",
+            lanes=f"group{i}",
+            number=lane + 1,
+            steps=20,
+            pause=pause,
+        )
+        for i, source in enumerate(numbers)
+        for lane in range(3)
+    ]
+    inputs = {f"part{i}": lane for i, lane in enumerate(lanes)}
+    return [node("total", "sum", log, inputs, component="collect", cost=0.1)]
