@@ -95,7 +95,7 @@ def _policy_node(
         },
         inputs={role: inputs[role] for role in ("dataset", *module.NEEDS)},
         tags={"dataset": dataset, "algorithm": algorithm, "seed": str(seed)},
-        lanes=f"train/{algorithm}/{dataset}",
+        lanes=f"train/{algorithm}" + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
         cost=_policy_cost(algorithm, config),
     )
 

@@ -68,7 +68,7 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
     Returns:
         The exit code.
     """
-    store = ArtifactStore(settings.store)
+    store = ArtifactStore(settings.store, create=not settings.dry_run)
     display = Display()
     executor = _executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")

@@ -72,6 +72,7 @@ class RunnerSettings(_Strict):
     cpus: int | None = Field(ge=1)
     threads: int = Field(ge=1)
     device: Literal["auto", "cpu", "cuda"]
+    stack: Literal["pair", "algorithm"]
 
 
 class Settings(_Strict):

@@ -59,6 +59,8 @@ class DatasetSpec:
             raise ValueError(f"unknown controller {self.controller!r}; known are {known}.")
         if not 0.0 <= self.epsilon <= 1.0:
             raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        if not 0.0 <= self.setpoint <= 100.0:
+            raise ValueError(f"setpoint is {self.setpoint}; give a number from 0 to 100.")
         if self.trajectories < 1 or self.steps < 1:
             raise ValueError(
                 f"{self.trajectories} trajectories of {self.steps} steps make no dataset; "

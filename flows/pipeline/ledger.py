@@ -174,14 +174,14 @@ class MlflowLedger:
         """
         with self._speaking(), self._alone():
             mark = f"sweep.{self._sweep_name}"
-            run_id, tags = self._known(node.key)
+            run_id, known = self._known(node.key)
             if run_id is not None:
-                if mark not in tags:
+                if mark not in known:
                     self.client.set_tag(run_id, mark, "reused")
                 return
             content = read_content(folder)
             started, ended = (int(1000 * content.record[name]) for name in ("started", "finished"))
-            tags = self._tags(node) | flat(content.tags) | {mark: "computed"}
+            tags = flat(content.tags) | self._tags(node) | {mark: "computed"}
             run = self.client.create_run(
                 self.experiment, start_time=started, run_name=node.name, tags=tags
             )

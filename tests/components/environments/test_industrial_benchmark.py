@@ -155,11 +155,11 @@ def test_copies_have_their_own_noise_and_do_not_feel_each_other() -> None:
 
 
 def test_no_global_random_state_is_touched() -> None:
-    before = np.random.get_state()[1].copy()  # type: ignore[index]
+    before = np.random.get_state()[1].copy()  # noqa: NPY002 - the state that must not change
     machines = IndustrialBenchmark(2)
     machines.reset(np.random.default_rng(0))
     machines.step(np.zeros((2, 3)))
-    assert np.array_equal(before, np.random.get_state()[1])  # type: ignore[index]
+    assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
 
 
 def test_steering_step_sizes_limits_and_clipped_actions() -> None:

@@ -1,6 +1,10 @@
 """What really stands in MLflow's database and artifact folder afterwards."""
 
+import contextlib
 import os
+import shutil
+import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -14,20 +18,40 @@ from rich.console import Console
 
 from flows.pipeline.errors import LedgerError
 from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.files import write_json
 from flows.pipeline.ledger import MlflowLedger
+from flows.pipeline.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.run_content import flat, link_tree, read_content
-from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.runner import NullLedger, Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
-from tests.flows.pipeline.toys import node
+from tests.flows.pipeline.toys import node, wait_for
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An empty database, made once: its sixty migrations take more than a second."""
+    root = tmp_path_factory.mktemp("template")
+    import_mlflow()
+    make_database(root)
+    return root / "mlflow.db"
 
 
 @pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that is not there yet."""
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     (tmp_path / "log").mkdir()
     return tmp_path / "my runs"  # a blank, as in many home folders
+
+
+@pytest.fixture
+def home(bare: Path, database: Path) -> Path:
+    """A folder with an empty database."""
+    bare.mkdir()
+    shutil.copy(database, bare)
+    return bare
 
 
 def run(home: Path, nodes: list[Node], sweep: str = "first") -> tuple[Outcome, MlflowLedger]:
@@ -106,19 +130,15 @@ def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
             assert (place / name).samefile(folder / name)
 
 
-def test_database_is_ours_and_in_wal_mode(home: Path) -> None:
-    run(home, small(home))
-    with sqlite3.connect(home / "mlflow.db") as database:
+def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
+    bare.mkdir()
+    (bare / ".mlflow-young.db").write_bytes(b"half a database")
+    _, ledger = run(bare, small(bare))
+    assert len(runs(ledger, "node")) == 2
+    with sqlite3.connect(bare / "mlflow.db") as database:
         assert database.execute("pragma journal_mode").fetchone() == ("wal",)
     database.close()
-    assert not list(home.glob(".mlflow-young*"))
-
-
-def test_database_whose_maker_was_killed_is_made_anew(home: Path) -> None:
-    home.mkdir()
-    (home / ".mlflow-young.db").write_bytes(b"half a database")
-    _, ledger = run(home, small(home))
-    assert len(runs(ledger, "node")) == 2
+    assert not list(bare.glob(".mlflow-young*"))
 
 
 def test_reuse_marks_the_run_and_makes_no_second_one(home: Path) -> None:
@@ -139,8 +159,6 @@ def test_nodes_finished_but_not_recorded_are_recorded_later(home: Path) -> None:
     nodes = small(home)
     with open(os.devnull, "w", encoding="utf-8") as null:
         store, display = ArtifactStore(home), Display(Console(file=null))
-        from flows.pipeline.runner import NullLedger
-
         run_plan(Plan(nodes), store, NullLedger(), display, executor=SerialExecutor())
     outcome, ledger = run(home, nodes)
     assert len(outcome.reused) == 2
@@ -181,11 +199,13 @@ def test_runs_a_killed_driver_left_open_are_closed(home: Path) -> None:
     assert [r.info.status for r in runs(ledger, "sweep")] == ["FINISHED"]
 
 
-def test_tracking_uri_is_honoured(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = home.parent / "other.db"
+def test_tracking_uri_is_honoured(
+    bare: Path, database: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, other = bare, bare.parent / "other.db"
+    shutil.copy(database, other)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{other}")
     _, ledger = run(home, small(home))
-    assert other.exists()
     assert not (home / "mlflow.db").exists()
     assert len(runs(ledger, "node")) == 2
     assert len(list((home / "artifacts").iterdir())) == 3
@@ -212,6 +232,43 @@ def test_store_that_cannot_be_reached_is_one_sentence(
     assert "secret" not in message
     assert message.endswith("give the same command again.")
     assert "\n" not in message
+
+
+@pytest.mark.slow
+def test_server_keeps_the_runs_and_their_artifacts(
+    bare: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    there = bare.parent / "server"
+    there.mkdir()
+    command = [sys.executable, "-m", "mlflow", "server", "--host", "127.0.0.1"]
+    command += ["--port", str(port), "--workers", "1"]
+    command += ["--backend-store-uri", f"sqlite:///{there}/server.db"]
+    command += ["--artifacts-destination", str(there / "files")]
+    environment = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, env=environment, cwd=there, stdout=quiet, stderr=quiet, start_new_session=True
+    ) as server:
+        try:
+
+            def answers() -> bool:
+                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+                    return True
+                return False
+
+            wait_for(answers, "the server", 120.0)
+            monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{port}")
+            _, ledger = run(bare, small(bare))
+            (last,) = [r for r in runs(ledger, "node") if r.info.run_name == "last"]
+            files = {f.path for f in ledger.client.list_artifacts(last.info.run_id)}
+        finally:
+            os.killpg(server.pid, signal.SIGKILL)
+    assert {"node.json", "deep", "curves.npz"} <= files
+    assert last.info.status == "FINISHED"
+    assert not (bare / "mlflow.db").exists()
 
 
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
@@ -242,8 +299,6 @@ def test_sweep_name_may_not_break_searches(home: Path) -> None:
 
 
 def make(folder: Path, **files: Any) -> Callable[[], Any]:
-    from flows.pipeline.files import write_json
-
     folder.mkdir()
     write_json(folder / "node.json", {"started": 1.0, "finished": 3.0})
     for name, value in files.items():
