@@ -19,6 +19,7 @@ from flows.pipeline.store import ArtifactStore
 __all__ = ["Display", "duration"]
 
 _SELDOM = 15.0  # seconds between two lines about one component in a log
+_SIGN_OF_LIFE = 60.0  # seconds after which a log hears of a component whose numbers stand still
 
 
 def duration(seconds: float) -> str:
@@ -113,10 +114,12 @@ class Display:
     def _log(self, line: Line, *, force: bool = False) -> None:
         counts = (line.done, line.failed, line.skipped)
         now = time.monotonic()
-        if self._shown.get(line.component, (line.reused, 0, 0) if not force else ()) == counts:
+        silent = now - self._last.get(line.component, float("-inf"))
+        alive = bool(line.running) and silent >= _SIGN_OF_LIFE
+        same = self._shown.get(line.component, (line.reused, 0, 0) if not force else ()) == counts
+        if same and not alive:
             return
-        seldom = now - self._last.get(line.component, float("-inf")) < _SELDOM
-        if seldom and not (force or line.over):
+        if silent < _SELDOM and not (force or line.over):
             return
         self._shown[line.component] = counts
         self._last[line.component] = now
@@ -151,7 +154,8 @@ def _counts(line: Line) -> str:
         )
         if number
     ]
-    return f"{line.done}/{line.total}" + (f" ({', '.join(extras)})" if extras else "")
+    part = f" {line.fraction:.0%}" if line.running else ""
+    return f"{line.done}/{line.total}{part}" + (f" ({', '.join(extras)})" if extras else "")
 
 
 def _rate(line: Line) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from flows.pipeline.board import Board
+from flows.pipeline.board import Board, Line
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
@@ -162,3 +162,28 @@ def test_durations_read_well() -> None:
         "1 h 00 min",
         "2 h 30 min",
     ]
+
+
+def test_a_log_hears_of_silent_work_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [1000.0]
+    monkeypatch.setattr("flows.pipeline.progress.time.monotonic", lambda: clock[0])
+    screen = Screen()
+    line = Line(
+        component="policy_training",
+        total=4,
+        reused=0,
+        finished=0,
+        failed=0,
+        skipped=0,
+        running=4,
+        fraction=0.25,
+        per_minute=None,
+        remaining=90.0,
+    )
+    for second in range(150):
+        clock[0] = 1000.0 + second
+        screen._log(line)
+    assert (
+        screen.file.getvalue().splitlines()
+        == ["policy training: 0/4 25% (4 running), 1 min 30 s left"] * 3
+    )  # at 0, 60 and 120 seconds
