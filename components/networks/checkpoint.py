@@ -1,5 +1,6 @@
 """Tensors on disk: safetensors files that appear whole or not at all and are never unpickled."""
 
+import errno
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -23,12 +24,19 @@ __all__ = [
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
-    """Write tensors and a JSON header to ``path`` by way of a temporary name beside it."""
+    """Write tensors and a JSON header to ``path`` by way of a temporary name beside it.
+
+    Raises:
+        OSError: If the disk is full or the folder cannot be written.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     try:
         save_file(contiguous, temporary, metadata={"header": json.dumps(header)})
         os.replace(temporary, path)
+    except SafetensorError as error:
+        full = f"os error {errno.ENOSPC}" in str(error)
+        raise OSError(errno.ENOSPC if full else errno.EIO, str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -9,6 +9,7 @@ import contextlib
 import logging
 import os
 import secrets
+import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -116,6 +117,7 @@ class RayExecutor:
         self._notify = notify
         address = os.environ.get("RAY_ADDRESS")
         _set_ray_environment(local=not address)
+        _knock(address)
         import ray  # reads its environment at import, and costs a second
 
         self._ray = ray
@@ -228,6 +230,24 @@ def _lost(call: GroupCall, reason: str) -> GroupResult:
 
 def _first_line(error: BaseException) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__).rstrip(".")
+
+
+def _knock(address: str | None) -> None:
+    """Finds a wrong address in seconds; Ray itself tries for minutes.
+
+    Raises:
+        PipelineError: nobody listens there.
+    """
+    host, colon, port = (address or "").rpartition("://")[2].rpartition(":")
+    if not colon or not port.isdigit():
+        return  # none, "auto" or something only Ray can judge
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
+    except OSError as error:
+        raise PipelineError(
+            f"Nobody answers at RAY_ADDRESS={address} ({error.strerror or error}): "
+            "start the cluster, correct the address, or unset it to use this machine."
+        ) from error
 
 
 def _set_ray_environment(*, local: bool) -> None:

@@ -25,7 +25,8 @@ def import_mlflow() -> Any:
     import mlflow
 
     for name in ("mlflow", "alembic"):
-        logging.getLogger(name).setLevel(logging.ERROR)
+        # Whatever they would log as an error they also raise, and we say it in one sentence.
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     return mlflow
 
 

@@ -3,6 +3,7 @@
 import io
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -120,3 +121,12 @@ def test_killed_driver_continues_to_the_same_result(tmp_path: Path) -> None:
     assert sorted(finished) == sorted(node.key for node in plan)
     (parent,) = ledger.client.search_runs([ledger.experiment], "tags.role = 'sweep'")
     assert parent.info.status == "FINISHED"
+
+
+def test_a_silent_address_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound but not listening: nobody answers here
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        with pytest.raises(PipelineError, match=f"Nobody answers at RAY_ADDRESS={address}"):
+            RayExecutor().start(print)

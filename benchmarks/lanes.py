@@ -1,0 +1,155 @@
+"""What stacking seeds buys: five lanes in one program against five programs of one lane.
+
+`python -m benchmarks.lanes [--device cpu] [--repetitions 3]`. Both train at the thesis's sizes on
+the same dataset; the five programs take turns, update by update, in one process, so neither
+start-up nor loading counts against them. LION's behaviour policy and transition ensemble are
+freshly initialised: their weights do not change the amount of work.
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from benchmarks.measure import machine, markdown, median_seconds
+from components.algorithms import ALGORITHMS
+from components.algorithms.base import Ingredients
+from components.data.catalogue import DATASETS, generate
+from components.data.dataset import OfflineDataset
+from components.data.lanes import LaneData
+from components.data.normaliser import Normaliser
+from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import Learner
+from flows.memory import keep_freed_memory
+
+__all__ = ["program", "report"]
+
+_SEEDS = 5
+_MEMBERS, _HIDDEN = 4, 30  # of the transition ensemble
+_UPDATES = {"td3_bc": 20, "lion": 2}  # per timing: some tenths of a second and more
+
+
+def program(
+    algorithm: str,
+    dataset: OfflineDataset,
+    seeds: Sequence[int],
+    device: torch.device,
+    **settings: object,
+) -> Learner:
+    """A fresh learner with one lane per seed.
+
+    Args:
+        algorithm: Name of a learner.
+        dataset: Shared by the lanes.
+        seeds: One per lane.
+        device: Where to train.
+        settings: Differences from the learner's default configuration.
+    """
+    module = ALGORITHMS[algorithm]
+    needs = module.NEEDS
+    parts = Ingredients(
+        data=LaneData([dataset] * len(seeds), device, module.FRAME_EPSILON),
+        keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
+        behaviour_policies=[_behaviour(dataset)] * len(seeds) * ("behaviour_policy" in needs),
+        recurrent_ensembles=[_ensemble(dataset)] * len(seeds) * ("recurrent_ensemble" in needs),
+    )
+    learner: Learner = module.Learner(module.Config(**settings), parts)
+    return learner
+
+
+def _behaviour(dataset: OfflineDataset) -> Policy:
+    card = PolicyCard(
+        algorithm="behaviour_policy",
+        dataset=dataset.card.name,
+        features=tuple(dataset.card.frame_features),
+        history=dataset.card.history,
+        actions=dataset.actions.shape[1],
+        takes_lambda=False,
+        steps=(0,),
+    )
+    sizes = (dataset.card.history * dataset.frames.shape[1], 20, dataset.actions.shape[1])
+    network = StackedMLP(spawn_generators([0], "behaviour"), sizes)
+    scaling = Normaliser.stack([Normaliser.fit(dataset.frames)])
+    return Policy.of_network(card, network, scaling).lane(0, card)
+
+
+def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:
+    rng, bound, cells = lane_generator(0), _HIDDEN**-0.5, 2 * _MEMBERS
+    weight = rng.uniform(-bound, bound, (cells, _HIDDEN, _HIDDEN + 6)).astype(np.float32)
+    readout = rng.uniform(-bound, bound, (cells, 1, _HIDDEN + 1)).astype(np.float32)
+    limit = torch.full((2,), 3.0)
+    return RecurrentEnsemble(
+        torch.from_numpy(weight),
+        torch.from_numpy(readout),
+        Normaliser.fit(dataset.frames),
+        -limit,
+        limit,
+    )
+
+
+def _updates(learners: Sequence[Learner], count: int) -> Callable[[], None]:
+    """A runner of `count` further updates of every learner, in turn."""
+    done = 0
+
+    def run() -> None:
+        nonlocal done
+        for step in range(done, done + count):
+            for learner in learners:
+                learner.update(step)
+        done += count
+
+    return run
+
+
+def report(
+    device: str = "cpu",
+    repetitions: int = 3,
+    updates: dict[str, int] = _UPDATES,
+    trajectories: int = 100,
+    **settings: object,
+) -> str:
+    """Measure both learners; a Markdown table.
+
+    Args:
+        device: Where to train.
+        repetitions: Timings per row, the median counts.
+        updates: Updates per timing and learner, by name.
+        trajectories: Of the dataset, 1,000 steps each.
+        settings: Differences from both learners' default configurations.
+    """
+    keep_freed_memory()
+    place = torch.device(device)
+    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
+    rows = []
+    for algorithm, count in updates.items():
+        alone = [program(algorithm, dataset, [s], place, **settings) for s in range(_SEEDS)]
+        stack = program(algorithm, dataset, range(_SEEDS), place, **settings)
+        names = (f"{_SEEDS} programs of 1 lane, in turn", f"1 program of {_SEEDS} lanes")
+        seconds = median_seconds(
+            {names[0]: _updates(alone, count), names[1]: _updates([stack], count)}, repetitions
+        )
+        rates = {name: count * _SEEDS / seconds[name] for name in names}  # seed-updates per second
+        for name in names:
+            own = rates[name] / (1 if name == names[0] else _SEEDS)
+            ratio = rates[name] / rates[names[0]]
+            rows.append([algorithm, name, f"{own:,.1f}", f"{rates[name]:,.1f}", f"{ratio:.2f}"])
+    columns = ["learner", "program", "updates/s of one program alone", "seed-updates/s", "times"]
+    return markdown(columns, rows, texts=2)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lanes", description=__doc__)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--repetitions", type=int, default=3)
+    options = parser.parse_args()
+    print(report(options.device, options.repetitions))
+    print(f"\n{machine(options.device)}")
+
+
+if __name__ == "__main__":
+    main()

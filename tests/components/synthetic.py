@@ -1,0 +1,160 @@
+"""A small linear machine, its logs, and hand-made models: what the tests of the learners share."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.normaliser import Normaliser
+from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.policy import Policy, PolicyCard
+
+CPU = torch.device("cpu")
+FEATURES = ("setpoint", "velocity", "gain", "shift", "fatigue", "consumption")
+SCALE = np.array([1.0, 10.0, 5.75])
+GAINS = np.array([[-0.8, 0.2, 0.0], [0.1, -0.6, 0.3], [0.3, 0.0, -0.5]])
+
+
+def controller(steerings: np.ndarray) -> np.ndarray:
+    """The operator of the small machine: saturated linear feedback, ``[N, 3]`` to ``[N, 3]``."""
+    return np.tanh((steerings - 50.0) / 15.0 @ GAINS.T)
+
+
+def next_outputs(steerings: np.ndarray, fatigue: np.ndarray) -> np.ndarray:
+    """Fatigue and consumption ``[N, 2]`` after the steerings have moved."""
+    velocity, gain, shift = steerings.T
+    worn = 0.6 * fatigue + 0.2 * velocity + 0.1 * shift
+    return np.stack([worn, 20.0 + 0.5 * gain + 0.8 * velocity - 0.3 * shift], axis=1)
+
+
+def make_log(
+    name: str = "toy",
+    *,
+    seed: int = 0,
+    episodes: int = 6,
+    steps: int = 40,
+    history: int = 3,
+    explore: float = 0.5,
+    discount: float = 0.97,
+) -> OfflineDataset:
+    """Log the small machine; with chance ``explore`` a step's action is uniform."""
+    rng = np.random.default_rng(seed)
+    frames = np.empty((episodes, steps + 1, len(FEATURES)))
+    actions = np.empty((episodes, steps, 3))
+    steerings = rng.uniform(20.0, 80.0, (episodes, 3))
+    outputs = next_outputs(steerings, np.full(episodes, 30.0))
+    for t in range(steps + 1):
+        frames[:, t] = np.column_stack([np.full(episodes, 70.0), steerings, outputs])
+        if t == steps:
+            break
+        action = controller(steerings)
+        random = rng.random(episodes) < explore
+        action[random] = rng.uniform(-1.0, 1.0, (int(random.sum()), 3))
+        actions[:, t] = action
+        steerings = np.clip(steerings + SCALE * action, 0.0, 100.0)
+        outputs = next_outputs(steerings, outputs[:, 0])
+    rewards = -0.03 * frames[:, 1:, 4] - 0.01 * frames[:, 1:, 5]
+    truncated = np.zeros((episodes, steps), dtype=np.bool_)
+    truncated[:, -1] = True
+    card = DatasetCard(
+        name=name,
+        environment="none",
+        environment_parameters={},
+        controller="linear",
+        epsilon=explore,
+        seed=seed,
+        trajectories=episodes,
+        steps=steps,
+        discount=discount,
+        history=history,
+        frame_features=FEATURES,
+        action_features=("velocity", "gain", "shift"),
+        machine={
+            "action_scale": SCALE.tolist(),
+            "steering_low": 0.0,
+            "steering_high": 100.0,
+            "reward": {"fatigue": -0.03, "consumption": -0.01},
+        },
+        return_steps=steps,
+        first_window_return_mean=-60.0,
+        first_window_return_min=-61.0,
+        first_window_return_max=-59.0,
+        all_windows_return_mean=-50.0,
+        digest="",
+    )
+    return relabelled(
+        OfflineDataset(
+            card=card,
+            frames=frames.reshape(-1, len(FEATURES)).astype(np.float32),
+            actions=actions.reshape(-1, 3).astype(np.float32),
+            rewards=rewards.reshape(-1).astype(np.float32),
+            terminated=np.zeros(episodes * steps, dtype=np.bool_),
+            truncated=truncated.reshape(-1),
+            episode_starts=np.arange(episodes + 1, dtype=np.int64) * steps,
+        )
+    )
+
+
+def relabelled(dataset: OfflineDataset, **arrays: np.ndarray) -> OfflineDataset:
+    """The dataset with some arrays replaced, and the digest that belongs to them."""
+    changed = dataclasses.replace(dataset, **arrays)
+    card = dataclasses.replace(changed.card, digest=array_digest(changed.arrays()))
+    return dataclasses.replace(changed, card=card)
+
+
+def keys(*names: object) -> list[int]:
+    """One stream key per name."""
+    return [lane_key("test", name) for name in names]
+
+
+def policy_card(dataset: OfflineDataset | None = None, **changes: object) -> PolicyCard:
+    """A card that fits the small machine's frames."""
+    fields = {
+        "algorithm": "test",
+        "dataset": "toy" if dataset is None else dataset.card.name,
+        "features": FEATURES,
+        "history": 3 if dataset is None else dataset.card.history,
+        "actions": 3,
+        "takes_lambda": False,
+        "steps": (1,),
+    }
+    return PolicyCard(**(fields | changes))
+
+
+def random_policy(dataset: OfflineDataset, names: Sequence[object], hidden: int = 8) -> Policy:
+    """One random policy per name, scaled with the statistics of the dataset."""
+    width = dataset.card.history * len(FEATURES)
+    network = StackedMLP([lane_generator(key) for key in keys(*names)], (width, hidden, 3))
+    scaling = Normaliser.fit(dataset.frames)
+    card = policy_card(dataset, steps=tuple(range(len(names))))
+    return Policy.of_network(card, network, Normaliser.stack([scaling] * len(names)))
+
+
+def constant_policy(actions: Sequence[float], features: int = 6, history: int = 3) -> Policy:
+    """A policy that always acts in the same way."""
+    weight = torch.zeros(1, features * history, len(actions))
+    bias = torch.atanh(torch.tensor(actions)).view(1, 1, -1)
+    scaling = Normaliser(torch.zeros(1, features), torch.ones(1, features))
+    card = policy_card(history=history, actions=len(actions))
+    return Policy(card, ((weight, bias),), scaling)
+
+
+def random_ensemble(
+    dataset: OfflineDataset, name: object, members: int = 3, hidden: int = 5
+) -> RecurrentEnsemble:
+    """An untrained ensemble with visible differences between its members."""
+    rng = lane_generator(lane_key("ensemble", name))
+    scaling = Normaliser.fit(dataset.frames)
+    scaled = scaling.apply(torch.from_numpy(dataset.frames))[:, 4:]
+    weight = torch.from_numpy(rng.normal(0.0, 0.5, (2 * members, hidden, hidden + 6))).float()
+    weight[members:, :, hidden + 4] = 0.0
+    return RecurrentEnsemble(
+        weight,
+        torch.from_numpy(rng.normal(0.0, 0.6, (2 * members, 1, hidden + 1))).float(),
+        scaling,
+        scaled.amin(dim=0),
+        scaled.amax(dim=0),
+    )
