@@ -6,14 +6,12 @@ other work on the machine can only slow a repetition down.
 """
 
 import argparse
-import os
-import platform
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.measure import machine, markdown
 from benchmarks.scalar_industrial_benchmark import (
     GeneratorDraws,
     ScalarIndustrialBenchmark,
@@ -64,14 +62,24 @@ def vectorised(copies: int) -> Callable[[], int]:
     return run
 
 
-def processor() -> str:
-    """The processor's name."""
-    path = Path("/proc/cpuinfo")
-    if path.is_file():
-        for line in path.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+def report(copies: int = 1000, seconds: float = 2.0) -> str:
+    """Measure loops and environments; a Markdown table.
+
+    Args:
+        copies: Size of the vectorised environment; some other sizes are measured beside it.
+        seconds: Budget of each measurement.
+    """
+    plain = best_rate(scalar_loop(ScalarIndustrialBenchmark), seconds)
+    tuned = best_rate(scalar_loop(TunedScalarIndustrialBenchmark), seconds)
+    rates = [("scalar loop, plain", 1, plain), ("scalar loop, tuned", 1, tuned)]
+    for size in sorted({1, 10, 100, copies, 10 * copies}):
+        rates.append(("vectorised", size, best_rate(vectorised(size), seconds)))
+    rows = [
+        [name, f"{size:,}", f"{rate:,.0f}", f"{rate / plain:,.1f}", f"{rate / tuned:,.1f}"]
+        for name, size, rate in rates
+    ]
+    columns = ["environment", "copies", "steps per second", "times plain", "times tuned"]
+    return markdown(columns, rows)
 
 
 def main() -> None:
@@ -80,21 +88,8 @@ def main() -> None:
     parser.add_argument("--copies", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=2.0, help="budget of each measurement")
     options = parser.parse_args()
-    plain = best_rate(scalar_loop(ScalarIndustrialBenchmark), options.seconds)
-    tuned = best_rate(scalar_loop(TunedScalarIndustrialBenchmark), options.seconds)
-    rows = [("scalar loop, plain", 1, plain), ("scalar loop, tuned", 1, tuned)]
-    for copies in sorted({1, 10, 100, options.copies, 10 * options.copies}):
-        rows.append(("vectorised", copies, best_rate(vectorised(copies), options.seconds)))
-    print("| environment | copies | steps per second | times plain | times tuned |")
-    print("|---|---:|---:|---:|---:|")
-    for name, copies, rate in rows:
-        ratios = f"{rate / plain:,.1f} | {rate / tuned:,.1f}"
-        print(f"| {name} | {copies:,} | {rate:,.0f} | {ratios} |")
-    threads = os.environ.get("OMP_NUM_THREADS", "unset")
-    print(
-        f"\n{processor()}, {os.cpu_count()} cores, one used (OMP_NUM_THREADS {threads}); "
-        f"Python {platform.python_version()}, NumPy {np.__version__}"
-    )
+    print(report(options.copies, options.seconds))
+    print(f"\n{machine()}; one core used, NumPy {np.__version__}")
 
 
 if __name__ == "__main__":

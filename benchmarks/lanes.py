@@ -7,8 +7,9 @@ freshly initialised: their weights do not change the amount of work.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -30,7 +31,8 @@ __all__ = ["program", "report"]
 
 _SEEDS = 5
 _MEMBERS, _HIDDEN = 4, 30  # of the transition ensemble
-_UPDATES = {"td3_bc": 20, "lion": 2}  # per timing: some tenths of a second and more
+_UPDATES = MappingProxyType({"td3_bc": 20, "lion": 2})  # per timing: about a second or two
+_DEFAULTS: Mapping[str, Mapping[str, object]] = MappingProxyType({})
 
 
 def program(
@@ -108,9 +110,9 @@ def _updates(learners: Sequence[Learner], count: int) -> Callable[[], None]:
 def report(
     device: str = "cpu",
     repetitions: int = 3,
-    updates: dict[str, int] = _UPDATES,
+    updates: Mapping[str, int] = _UPDATES,
     trajectories: int = 100,
-    **settings: object,
+    settings: Mapping[str, Mapping[str, object]] = _DEFAULTS,
 ) -> str:
     """Measure both learners; a Markdown table.
 
@@ -119,25 +121,26 @@ def report(
         repetitions: Timings per row, the median counts.
         updates: Updates per timing and learner, by name.
         trajectories: Of the dataset, 1,000 steps each.
-        settings: Differences from both learners' default configurations.
+        settings: Differences from the learners' default configurations, by name.
     """
     keep_freed_memory()
     place = torch.device(device)
     dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
     rows = []
     for algorithm, count in updates.items():
-        alone = [program(algorithm, dataset, [s], place, **settings) for s in range(_SEEDS)]
-        stack = program(algorithm, dataset, range(_SEEDS), place, **settings)
+        own = settings.get(algorithm, {})
+        alone = [program(algorithm, dataset, [s], place, **own) for s in range(_SEEDS)]
+        stack = program(algorithm, dataset, range(_SEEDS), place, **own)
         names = (f"{_SEEDS} programs of 1 lane, in turn", f"1 program of {_SEEDS} lanes")
         seconds = median_seconds(
             {names[0]: _updates(alone, count), names[1]: _updates([stack], count)}, repetitions
         )
         rates = {name: count * _SEEDS / seconds[name] for name in names}  # seed-updates per second
         for name in names:
-            own = rates[name] / (1 if name == names[0] else _SEEDS)
-            ratio = rates[name] / rates[names[0]]
-            rows.append([algorithm, name, f"{own:,.1f}", f"{rates[name]:,.1f}", f"{ratio:.2f}"])
-    columns = ["learner", "program", "updates/s of one program alone", "seed-updates/s", "times"]
+            lanes = 1 if name == names[0] else _SEEDS
+            rate, ratio = rates[name], rates[name] / rates[names[0]]
+            rows.append([algorithm, name, f"{rate / lanes:,.1f}", f"{rate:,.1f}", f"{ratio:.2f}"])
+    columns = ["learner", "program", "updates/s of one program", "seed-updates/s", "times"]
     return markdown(columns, rows, texts=2)
 
 

@@ -110,10 +110,8 @@ def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:
     """List what is missing and why."""
     for key, reason in outcome.failed.items():
         lines = reason.strip().splitlines() or ["no reason given"]
-        display.console.print(f"missing {plan[key].name}: {lines[-1]}", markup=False)
+        display.note(f"missing {plan[key].name}: {lines[-1]}")
     for key, because in outcome.skipped.items():
-        display.console.print(
-            f"missing {plan[key].name}: needs {plan[because].name}, which failed", markup=False
-        )
+        display.note(f"missing {plan[key].name}: needs {plan[because].name}, which failed")
     if outcome.unrecorded:
-        display.console.print(outcome.unrecorded, markup=False)
+        display.note(outcome.unrecorded)

@@ -6,9 +6,10 @@ others.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -42,6 +43,8 @@ __all__ = [
     "train",
 ]
 
+T = TypeVar("T")
+
 
 def _write_json(path: Path, value: Any) -> None:
     path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
@@ -56,14 +59,33 @@ def _write_curves(path: Path, curves: Mapping[str, tuple[Sequence[int], Sequence
         np.savez(file, **arrays)
 
 
+def _read(job: Job, role: str, reader: Callable[[Path], T], name: str) -> T:
+    """Read an input; a damaged one is named with its remedy."""
+    folder = job.inputs[role]
+    try:
+        return reader(folder / name)
+    except (ValueError, FileNotFoundError) as error:
+        raise ValueError(
+            f"{error} To have it rebuilt, delete {folder} and give the same command again."
+        ) from error
+
+
 def _open_dataset(job: Job) -> OfflineDataset:
-    return OfflineDataset.open(job.inputs["dataset"] / "dataset")
+    return _read(job, "dataset", OfflineDataset.open, "dataset")
 
 
 def _note_dataset(job: Job, dataset: OfflineDataset) -> None:
     card = dataset.card
     entry = {"name": card.name, "digest": card.digest[:32], "source": card.environment}
     _write_json(job.out / "datasets.json", [entry])
+
+
+def _load_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (zipfile.BadZipFile, EOFError) as error:
+        raise ValueError(f"{path} is damaged ({error}).") from error
 
 
 def _tuples(kind: type, fields: Mapping[str, Any]) -> Any:
@@ -151,12 +173,12 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
             for d, j in zip(datasets, jobs, strict=True)
         ],
         behaviour_policies=[
-            Policy.load(job.inputs["behaviour_policy"] / "policy")
+            _read(job, "behaviour_policy", Policy.load, "policy")
             for job in jobs
             if "behaviour_policy" in module.NEEDS
         ],
         recurrent_ensembles=[
-            RecurrentEnsemble.load(job.inputs["recurrent_ensemble"] / "ensemble.safetensors")
+            _read(job, "recurrent_ensemble", RecurrentEnsemble.load, "ensemble.safetensors")
             for job in jobs
             if "recurrent_ensemble" in module.NEEDS
         ],
@@ -185,10 +207,10 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
     """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
     first = jobs[0].config
     config = EvaluationConfig(**first["evaluation"])
-    policies = [Policy.load(job.inputs["policy"] / "policy") for job in jobs]
+    policies = [_read(job, "policy", Policy.load, "policy") for job in jobs]
     results = evaluate_policies(
         policies,
-        [Policy.load(job.inputs["behaviour_policy"] / "policy") for job in jobs],
+        [_read(job, "behaviour_policy", Policy.load, "policy") for job in jobs],
         first["environment"],
         first["parameters"],
         config,
@@ -222,8 +244,7 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         seeds = job.config["seeds"]
         stored = []
         for seed in seeds:
-            with np.load(job.inputs[f"seed{seed}"] / "returns.npz", allow_pickle=False) as arrays:
-                stored.append({name: arrays[name] for name in arrays.files})
+            stored.append(_read(job, f"seed{seed}", _load_arrays, "returns.npz"))
         last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
         pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)

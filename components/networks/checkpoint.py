@@ -56,8 +56,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
     except (SafetensorError, KeyError, json.JSONDecodeError) as error:
         raise ValueError(
-            f"{path} is damaged or was not written by this project ({error}); delete it and run "
-            "again to have it rebuilt."
+            f"{path} is damaged or was not written by this project ({error})."
         ) from error
 
 

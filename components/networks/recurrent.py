@@ -9,7 +9,7 @@ cell several times cheaper than the same loop under autograd: inputs, hidden sta
 one share one buffer and thus one product per step, forward and backward; nothing is sliced inside
 the recorded graph (a slice of a ``[T, ...]`` tensor costs a gradient of that size per step); and
 tanh is computed as ``2 sigmoid(2x) - 1``, for which PyTorch has the faster CPU kernel (largest
-absolute difference to ``torch.tanh``: one unit in the last place of 1).
+absolute difference to ``torch.tanh``: below two units in the last place of 1).
 """
 
 from typing import Any

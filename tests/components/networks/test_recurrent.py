@@ -57,5 +57,5 @@ def test_single_precision_stays_close_to_double() -> None:
 
 def test_fast_tanh() -> None:
     x = torch.linspace(-20.0, 20.0, 4001)
-    # one unit in the last place of 1
-    torch.testing.assert_close(fast_tanh(x), torch.tanh(x), rtol=0.0, atol=1.2e-7)
+    # two units in the last place of 1
+    torch.testing.assert_close(fast_tanh(x), torch.tanh(x), rtol=0.0, atol=2.4e-7)

@@ -1,0 +1,224 @@
+"""The recurrent ensemble: closed loop, learning, early stopping, storage, resumption."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from components.data.catalogue import DATASETS, generate
+from components.models import recurrent_ensemble
+from components.models.recurrent_ensemble import (
+    RecurrentEnsemble,
+    RecurrentEnsembleConfig,
+    fit_recurrent_ensemble,
+    predict_windows,
+)
+from components.networks import lane_key
+from components.networks.checkpoint import save_tensors
+from tests.components.interruption import killed_at, lanes, save_always
+from tests.components.synthetic import CPU, make_log, random_ensemble
+
+TINY = RecurrentEnsembleConfig(
+    members=2, hidden=6, warm_up=5, horizon=8, batch=16, updates=40, validate_every=7, holdout=0.2
+)
+LOG = make_log()
+
+
+def by_loop(weight: Tensor, readout: Tensor, windows: Tensor, warm_up: int) -> Tensor:
+    """Own predictions fed back by hand, from the second predicted step on."""
+    width = weight.shape[1]
+    hidden = windows.new_zeros(weight.shape[0], width, windows.shape[-1])
+    predictions: list[Tensor] = []
+    for t, x in enumerate(windows):
+        own = x[:, 4:] if t <= warm_up else predictions[-1][:, None]
+        ones = torch.ones_like(own)
+        hidden = torch.tanh(weight @ torch.cat([hidden, x[:, :4], own, ones], dim=1))
+        predictions.append((readout @ torch.cat([hidden, ones], dim=1)).squeeze(1))
+    return torch.stack(predictions[warm_up:])
+
+
+def test_closed_loop_equals_feeding_predictions_back() -> None:
+    g = torch.Generator().manual_seed(0)
+    made = [
+        (0.6 * torch.randn(shape, generator=g, dtype=torch.float64)).requires_grad_()
+        for shape in ((4, 6, 12), (4, 1, 7))
+    ]
+    windows = torch.randn(13, 4, 5, 9, generator=g, dtype=torch.float64)
+    ours = predict_windows(*made, windows, TINY)
+    theirs = by_loop(*made, windows, TINY.warm_up)
+    assert ours.shape == (8, 4, 9)
+    torch.testing.assert_close(ours, theirs)
+    gradients = [torch.autograd.grad(p.square().sum(), made) for p in (ours, theirs)]
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_recorded_values_are_read_up_to_the_first_predicted_step() -> None:
+    ensemble = random_ensemble(LOG, 0, members=2, hidden=6)
+    windows = torch.randn(13, 4, 5, 9, generator=torch.Generator().manual_seed(0))
+    before = predict_windows(ensemble.weight, ensemble.readout, windows, TINY)
+    for row, matters in ((TINY.warm_up, True), (TINY.warm_up + 1, False)):
+        changed = windows.clone()
+        changed[row, :2, 4] += 1.0
+        after = predict_windows(ensemble.weight, ensemble.readout, changed, TINY)
+        assert torch.equal(before, after) != matters
+
+
+def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> None:
+    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    start = torch.tensor([[0], [1], [44], [20]])  # one frame row per network
+    inputs, targets = windows.gather(start)
+    assert inputs.shape == (13, 4, 5, 1)
+    scaling = windows.normaliser
+    scaled = (torch.from_numpy(LOG.frames) - scaling.mean) / scaling.scale
+    for network, row in enumerate(start.flatten().tolist()):
+        for t in range(13):
+            torch.testing.assert_close(inputs[t, network, :4, 0], scaled[row + t + 1, :4])
+            own = float(scaled[row + t, 4]) if network < 2 else 0.0
+            assert float(inputs[t, network, 4, 0]) == own
+        feature = 4 if network < 2 else 5
+        expected = scaled[row + 6 : row + 14, feature]
+        torch.testing.assert_close(targets[:, network, 0], expected)
+
+
+def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
+    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
+    starts = [41 * e + np.arange(40 - 13 + 1) for e in range(6)]
+    assert windows.train.tolist() == np.concatenate(starts[:4]).tolist()
+    assert windows.held_out.tolist() == np.concatenate(starts[4:]).tolist()
+    seen = LOG.frames[: 4 * 41]
+    np.testing.assert_allclose(windows.normaliser.mean, seen.mean(axis=0), rtol=1e-5)
+    scaled = windows.normaliser.apply(torch.from_numpy(seen))[:, 4:]
+    assert torch.equal(windows.low, scaled.amin(dim=0))
+    assert torch.equal(windows.high, scaled.amax(dim=0))
+
+
+def test_learns_the_small_machine() -> None:
+    log = make_log(episodes=10, steps=60)
+    config = RecurrentEnsembleConfig(
+        members=2, hidden=12, warm_up=5, horizon=10, batch=64, updates=400, validate_every=50,
+        learning_rate=1e-2,
+    )  # fmt: skip
+    ensemble, metrics, curves = fit_recurrent_ensemble(log, config, lane_key("fit"), CPU)
+    for lane in range(4):
+        _, values = curves.of_lane(lane)["model/train_mse"]
+        # mean over the first 50 updates against the last; measured factors 25 and more
+        assert values[-1] < values[0] / 5
+    # predicting the mean gives about 1; measured below 0.01
+    assert metrics["validation_mse/fatigue"] < 0.1
+    assert metrics["validation_mse/consumption"] < 0.1
+    assert ensemble.members == 2
+    assert not ensemble.weight[2:, :, 12 + 4].any(), "consumption networks read no own value"
+    assert ensemble.weight[:2, :, 12 + 4].all()
+
+
+def test_reported_loss_belongs_to_the_best_state() -> None:
+    ensemble, metrics, curves = fit_recurrent_ensemble(LOG, TINY, lane_key("best"), CPU)
+    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    inputs, targets = windows.gather(windows.held_out.expand(4, -1))
+    predicted = by_loop(ensemble.weight, ensemble.readout, inputs, TINY.warm_up)
+    losses = (predicted - targets).square().mean(dim=(0, 2)).tolist()
+    names = ["fatigue0", "fatigue1", "consumption0", "consumption1"]
+    for name, loss in zip(names, losses, strict=True):
+        assert metrics[f"validation_mse/{name}"] == pytest.approx(loss, rel=1e-4)  # float32
+    mean = (metrics["validation_mse/fatigue0"] + metrics["validation_mse/fatigue1"]) / 2
+    assert metrics["validation_mse/fatigue"] == pytest.approx(mean)
+    steps, _ = curves.of_lane(0)["model/validation_mse"]
+    assert steps == [7, 14, 21, 28, 35, 40]
+
+
+def test_stops_when_no_network_improves() -> None:
+    # With a rate this large the networks only get worse after a while.
+    config = dataclasses.replace(TINY, updates=5000, learning_rate=3.0, validate_every=2, patience=3)
+    _, _, curves = fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU)
+    steps, _ = curves.of_lane(0)["model/validation_mse"]
+    assert steps[-1] < 5000
+    values = np.array([curves.of_lane(lane)["model/validation_mse"][1] for lane in range(4)])
+    best = values.argmin(axis=1)
+    assert best.max() == len(steps) - 1 - config.patience
+
+
+def test_members_differ_and_do_not_feel_each_other() -> None:
+    four, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("k"), CPU)
+    eight, _, _ = fit_recurrent_ensemble(
+        LOG, dataclasses.replace(TINY, members=3), lane_key("k"), CPU
+    )
+    assert not torch.equal(four.weight[0], four.weight[1])
+    for network, same in ((0, 0), (1, 1), (2, 3), (3, 4)):
+        # forty updates in float32; stacking may change the order of sums
+        torch.testing.assert_close(
+            four.weight[network], eight.weight[same], rtol=1e-3, atol=1e-5
+        )
+
+
+def test_storage(tmp_path: Path) -> None:
+    ensemble = random_ensemble(LOG, 0)
+    path = tmp_path / "ensemble.safetensors"
+    ensemble.save(path)
+    loaded = RecurrentEnsemble.load(path)
+    for name in ("weight", "readout", "low", "high"):
+        assert torch.equal(getattr(loaded, name), getattr(ensemble, name))
+    assert torch.equal(loaded.frames.scale, ensemble.frames.scale)
+    save_tensors(path, {"x": torch.zeros(1)}, {"format": "policy/1"})
+    with pytest.raises(ValueError, match=r"ensemble\.safetensors holds 'policy/1', expected"):
+        RecurrentEnsemble.load(path)
+
+
+def test_logs_that_do_not_fit_are_refused() -> None:
+    long = dataclasses.replace(TINY, warm_up=40)
+    with pytest.raises(ValueError, match=r"Trajectory 0 of toy is shorter than .* = 48 steps"):
+        fit_recurrent_ensemble(LOG, long, 0, CPU)
+    features = ("position", *LOG.card.frame_features[1:])
+    other = dataclasses.replace(
+        LOG, card=dataclasses.replace(LOG.card, frame_features=features)
+    )
+    with pytest.raises(ValueError, match="needs frames of .* but toy logs .*'position'"):
+        fit_recurrent_ensemble(other, TINY, 0, CPU)
+
+
+@pytest.mark.parametrize("deaths", [[3], [10], [25, 39], [21, 22]])
+def test_interrupted_equals_uninterrupted(
+    deaths: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_always(monkeypatch, recurrent_ensemble)
+
+    def fit(checkpoint: Path | None) -> tuple:
+        return fit_recurrent_ensemble(LOG, TINY, lane_key("resume"), CPU, checkpoint)
+
+    expected = fit(None)
+    found = killed_at(
+        deaths, recurrent_ensemble._EnsembleLearner, fit, tmp_path / "c", monkeypatch
+    )
+    assert torch.equal(found[0].weight, expected[0].weight)
+    assert torch.equal(found[0].readout, expected[0].readout)
+    assert found[1] == expected[1]
+    assert lanes(found[2], 4) == lanes(expected[2], 4)
+
+
+@pytest.mark.slow
+def test_part_of_the_default_budget_on_the_real_log() -> None:
+    """Default settings but 400 of 3,000 updates, on the real mediocre-1.0.
+
+    Measured: fatigue 0.051, consumption 0.0094 (run-to-run differences come from the seed alone
+    and are a few percent); the bounds leave a third and more. The whole default budget reaches
+    0.05 and 0.008, see the next test.
+    """
+    config = RecurrentEnsembleConfig(updates=400)
+    log = generate(DATASETS["mediocre-1.0"], seed=0)
+    key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
+    _, metrics, _ = fit_recurrent_ensemble(log, config, key, CPU)
+    assert metrics["validation_mse/fatigue"] <= 0.07
+    assert metrics["validation_mse/consumption"] <= 0.025
+
+
+@pytest.mark.slow
+def test_default_settings_reach_the_required_accuracy() -> None:
+    """The whole default budget on the real mediocre-1.0, about three minutes on one core."""
+    log = generate(DATASETS["mediocre-1.0"], seed=0)
+    key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
+    _, metrics, _ = fit_recurrent_ensemble(log, RecurrentEnsembleConfig(), key, CPU)
+    assert metrics["validation_mse/fatigue"] <= 0.05
+    assert metrics["validation_mse/consumption"] <= 0.008
