@@ -153,7 +153,9 @@ def predict_windows(
     hidden = windows.new_zeros(cells, width, windows.shape[-1])
     observed = config.warm_up + 1  # the first prediction still starts from a recorded value
     first, hidden = unroll_cells(weight, readout, hidden, windows[:observed])
-    own = weight[:, :, width + len(INPUTS), None]
+    # Only the fatigue networks, the first half, feed their reading back.
+    feeds_back = (torch.arange(cells, device=weight.device) < cells // len(TARGETS))[:, None, None]
+    own = weight[:, :, width + len(INPUTS), None] * feeds_back
     recurrent = weight[:, :, :width] + own * readout[:, :, :-1]
     bias = weight[:, :, -1:] + own * readout[:, :, -1:]
     closed = torch.cat([recurrent, weight[:, :, width : width + len(INPUTS)], bias], dim=2)
@@ -168,8 +170,7 @@ class _Windows:
         self, dataset: OfflineDataset, config: RecurrentEnsembleConfig, device: torch.device
     ) -> None:
         features = dataset.card.frame_features
-        columns = [features.index(name) for name in (*INPUTS, *TARGETS)]
-        if columns != list(range(len(columns))):
+        if tuple(features) != (*INPUTS, *TARGETS):
             raise ValueError(
                 f"The recurrent ensemble needs frames of {(*INPUTS, *TARGETS)}, "
                 f"but {dataset.card.name} logs {tuple(features)}."
