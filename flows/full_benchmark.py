@@ -13,7 +13,7 @@ from flows.pipeline.files import write_text
 from flows.pipeline.plan import Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.session import main, run_sweep
+from flows.session import Metrics, main, run_sweep
 from flows.settings import Settings
 
 __all__ = ["write_report"]
@@ -75,16 +75,15 @@ def write_report(
     return files, rows, summaries
 
 
-def _headline(summaries: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Per dataset and algorithm the 10th percentile; for adaptive policies at every lambda."""
-    metrics = {}
-    for summary in summaries:
-        for point in summary["points"]:
-            name = f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}"
-            if point["lambda"] is not None:
-                name += f"/lambda_{point['lambda']:.2f}"
-            metrics[name] = point["tenth_percentile"]
-    return metrics
+def _headline(summaries: Sequence[dict[str, Any]]) -> Metrics:
+    """Per dataset and algorithm the 10th percentile, adaptive policies over 100 lambda."""
+    return {
+        f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}": [
+            (round(100 * (point["lambda"] or 0.0)), point["tenth_percentile"])
+            for point in summary["points"]
+        ]
+        for summary in summaries
+    }
 
 
 def _run(settings: Settings) -> int:
@@ -92,7 +91,7 @@ def _run(settings: Settings) -> int:
     name = sweep_name(settings, plan)
     folder = Path(settings.store) / "reports" / name
 
-    def report(outcome: Outcome) -> tuple[list[Path], dict[str, float]]:
+    def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
         files, rows, summaries = write_report(folder, plan, ArtifactStore(settings.store))
         if rows:
             print(markdown_table(rows), end="")

@@ -12,7 +12,7 @@ from flows.benchmark import data_plan, sweep_name
 from flows.pipeline.files import read_json, write_json
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.session import main, run_sweep
+from flows.session import Metrics, main, run_sweep
 from flows.settings import Settings
 
 HELP = """\
@@ -42,8 +42,8 @@ def _run(settings: Settings) -> int:
     plan = data_plan(settings)
     store = ArtifactStore(settings.store)
 
-    def report(outcome: Outcome) -> tuple[list[Path], dict[str, float]]:
-        metrics = {}
+    def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
+        metrics: dict[str, list[tuple[int, float]]] = {}
         root = Path(settings.store) / "minari"
         root.mkdir(parents=True, exist_ok=True)
         print(f"{'dataset':<14}{'mean return':>12}{'min':>9}{'max':>9}  folder and Minari id")
@@ -58,7 +58,7 @@ def _run(settings: Settings) -> int:
                 f"{card.first_window_return_min:>9.1f}{card.first_window_return_max:>9.1f}"
                 f"  {settings.store / folder.relative_to(store.root)}  {_export(dataset, root)}"
             )
-            metrics[f"return/{card.name}"] = card.first_window_return_mean
+            metrics[f"return/{card.name}"] = [(0, card.first_window_return_mean)]
         return [], metrics
 
     return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, report)

@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -16,9 +16,10 @@ from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.settings import Settings, SettingsError, load_settings
 
-__all__ = ["Report", "main", "run_sweep"]
+__all__ = ["Metrics", "Report", "main", "run_sweep"]
 
-Report = Callable[[Outcome], tuple[Sequence[Path], dict[str, float]]]
+Metrics = Mapping[str, Sequence[tuple[int, float]]]
+Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
 def main(door: str, help_text: str, body: Callable[[Settings], int]) -> None:
@@ -77,7 +78,12 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         return 0
     command = shlex.join(["python", *_command_words()])
     ledger = MlflowLedger(settings.store, source=_command_words()[1])
-    tags = {"profile": settings.profile_name, "command": command}
+    tags = {
+        "profile": settings.profile_name,
+        "command": command,
+        "mlflow.note.content": f"Sweep **{name}**, made by `{command}`. The table and the figures "
+        "are among the artifacts, under `report/`; every node is a run below this one.",
+    }
     ledger.open_sweep(
         name,
         tags,
@@ -90,7 +96,7 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
     )
     status = "FAILED"
     files: Sequence[Path] = ()
-    metrics: dict[str, float] = {}
+    metrics: Metrics = {}
     try:
         outcome = run_plan(plan, store, ledger, display, executor=executor, command=command)
         files, metrics = report(outcome)

@@ -34,7 +34,7 @@ class SettingsError(ValueError):
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class DataSettings(_Strict):
@@ -185,6 +185,11 @@ def _first_line(error: Exception) -> str:
 def _check_keys(overrides: Sequence[str], base: DictConfig) -> None:
     """Name the valid siblings of the first unknown key."""
     for word in overrides:
+        if word.startswith("dataset."):
+            raise SettingsError(
+                f"{word!r}: dataset names hold dots, so their keys cannot be given here; edit "
+                "conf/dataset, or select with datasets=[...]."
+            )
         node: Any = base
         walked: list[str] = []
         for part in word.partition("=")[0].split("."):
@@ -199,7 +204,14 @@ def _check_keys(overrides: Sequence[str], base: DictConfig) -> None:
 
 
 def _check(config: DictConfig) -> Settings:
-    values: Any = OmegaConf.to_container(config, resolve=True)
+    try:
+        values: Any = OmegaConf.to_container(config, resolve=True)
+    except OmegaConfBaseException as error:
+        raise SettingsError(f"{_first_line(error)}; write a plain value.") from error
+    for group in ("dataset", "algorithm", "model"):
+        _check_group(group, values[group])
+    if values["store"] == "":
+        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
     values["datasets"] = _select("dataset", values["datasets"])
     values["algorithms"] = _select("algorithm", values["algorithms"])
     seeds = values["seeds"] if isinstance(values["seeds"], list) else [values["seeds"]]
@@ -270,10 +282,17 @@ def _select(group: str, chosen: Any) -> list[str]:
     return names
 
 
-def _build(kind: type, path: str, fields: Mapping[str, Any]) -> Any:
-    """A configuration object, its types and ranges checked."""
+def _check_group(path: str, fields: Any) -> None:
     if not isinstance(fields, Mapping):
         raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
+
+
+def _build(kind: type, path: str, fields: Mapping[str, Any]) -> Any:
+    """A configuration object, its types and ranges checked."""
+    _check_group(path, fields)
+    for name, value in fields.items():
+        if isinstance(value, bool):  # pydantic would take it for a number
+            raise SettingsError(f"{path}.{name}={str(value).lower()}: Input should be no boolean.")
     if issubclass(kind, BaseModel):
         names = list(kind.model_fields)
     else:
@@ -281,7 +300,8 @@ def _build(kind: type, path: str, fields: Mapping[str, Any]) -> Any:
     try:
         if issubclass(kind, BaseModel):
             return kind(**fields)
-        strict = checked_dataclass(kind, config=ConfigDict(extra="forbid"), frozen=True)
+        config = ConfigDict(extra="forbid", allow_inf_nan=False)
+        strict = checked_dataclass(kind, config=config, frozen=True)
         checked = TypeAdapter(strict).validate_python(dict(fields))
     except ValidationError as error:
         raise SettingsError(_sentence(error, path, names)) from error

@@ -80,6 +80,17 @@ def _note_dataset(job: Job, dataset: OfflineDataset) -> None:
     _write_json(job.out / "datasets.json", [entry])
 
 
+def _inherit_datasets(job: Job, role: str) -> None:
+    """A run that judges policies names the dataset these were trained on."""
+    listed = job.inputs[role] / "datasets.json"
+    (job.out / "datasets.json").write_text(listed.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+def _percent(lambdas: np.ndarray) -> list[int]:
+    """Lambda as the whole-numbered step of a curve."""
+    return [round(100 * float(value)) for value in lambdas]
+
+
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -197,9 +208,7 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
-        series = curves.of_lane(lane)
-        _write_curves(job.out / "curves.npz", series)
-        _write_json(job.out / "metrics.json", {k: v[-1] for k, (_, v) in series.items() if v})
+        _write_curves(job.out / "curves.npz", curves.of_lane(lane))
         _note_dataset(job, datasets[lane])
 
 
@@ -228,14 +237,20 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
                 steps=np.asarray(policy.card.steps),
             )
         means = result.returns.mean(axis=-1)  # [S, lambdas]
-        curves, metrics = {}, {}
+        curves = {}
         for column, value in enumerate(result.lambdas):
-            suffix = "" if np.isnan(value) else f"/lambda_{value:.2f}"
-            curves[f"evaluation/return{suffix}"] = (policy.card.steps, means[:, column])
-            metrics[f"final/return{suffix}"] = float(means[-1, column])
-            metrics[f"final/distance{suffix}"] = float(result.distances[-1, column])
+            if np.isnan(value):
+                curves["evaluation/return"] = (policy.card.steps, means[:, column])
+                curves["evaluation/distance"] = (policy.card.steps, result.distances[:, column])
+            elif round(100 * value) % 25 == 0:
+                name = f"evaluation/return_at_lambda_{value:.2f}"
+                curves[name] = (policy.card.steps, means[:, column])
+        if policy.card.takes_lambda:
+            percent = _percent(result.lambdas)
+            curves["over_lambda/return"] = (percent, means[-1])
+            curves["over_lambda/distance"] = (percent, result.distances[-1])
         _write_curves(job.out / "curves.npz", curves)
-        _write_json(job.out / "metrics.json", metrics)
+        _inherit_datasets(job, "policy")
 
 
 def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -249,21 +264,18 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
         distances = np.stack([s["distances"][-last:] for s in stored]).mean(axis=(0, 1))
-        points, metrics = [], {}
+        points = []
         for column, value in enumerate(stored[0]["lambdas"]):
-            fixed = bool(np.isnan(value))
             statistics = summarise(pool[:, column]).as_dict()
             spread = float(per_seed[:, column].std(ddof=1)) if len(seeds) > 1 else 0.0
             points.append(
                 {
-                    "lambda": None if fixed else float(value),
+                    "lambda": None if np.isnan(value) else float(value),
                     **statistics,
                     "seed_std": spread,
                     "distance": float(distances[column]),
                 }
             )
-            suffix = "" if fixed else f"/lambda_{value:.2f}"
-            metrics |= {f"{name}{suffix}": number for name, number in statistics.items()}
         summary = {
             "dataset": job.config["dataset"],
             "algorithm": job.config["algorithm"],
@@ -271,4 +283,11 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
             "points": points,
         }
         _write_json(job.out / "summary.json", summary)
-        _write_json(job.out / "metrics.json", metrics)
+        shown = ("tenth_percentile", "standard_error", "mean", "std", "iqm", "distance")
+        if points[0]["lambda"] is None:
+            _write_json(job.out / "metrics.json", {name: points[0][name] for name in shown})
+        else:
+            percent = _percent(stored[0]["lambdas"])
+            curves = {f"over_lambda/{n}": (percent, [p[n] for p in points]) for n in shown}
+            _write_curves(job.out / "curves.npz", curves)
+        _inherit_datasets(job, f"seed{seeds[0]}")

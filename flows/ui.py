@@ -6,12 +6,14 @@ on an empty database of its own.
 
 import argparse
 import os
+import sqlite3
 import sys
+from contextlib import closing
 from pathlib import Path
 
-from flows.pipeline.mlflow_setup import make_database
+from flows.pipeline.mlflow_setup import EXPERIMENT, make_database
 
-__all__ = ["server_command"]
+__all__ = ["runs_address", "server_command"]
 
 
 def server_command(store: str, port: int) -> list[str]:
@@ -21,6 +23,18 @@ def server_command(store: str, port: int) -> list[str]:
         *("-m", "mlflow", "ui", "--backend-store-uri", store),
         *("--host", "127.0.0.1", "--port", str(port), "--workers", "1"),
     ]
+
+
+def runs_address(database: Path, port: int) -> str:
+    """Where the list of runs is; MLflow's own start page leads elsewhere."""
+    address = f"http://127.0.0.1:{port}"
+    with closing(sqlite3.connect(database)) as connection:
+        found = connection.execute(
+            "select experiment_id from experiments where name = ?", (EXPERIMENT,)
+        ).fetchone()
+    if found is None:
+        return address
+    return f"{address}/#/experiments/{found[0]}/runs?workflowType=machine_learning"
 
 
 def main() -> None:
@@ -38,8 +52,11 @@ def main() -> None:
         root.mkdir(parents=True, exist_ok=True)
         make_database(root)
         uri = f"sqlite:///{root}/mlflow.db"
+        address = runs_address(root / "mlflow.db", arguments.port)
+    else:
+        address = f"http://127.0.0.1:{arguments.port}"
     os.environ["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] = "false"
-    print(f"MLflow UI: http://127.0.0.1:{arguments.port}  (Ctrl-C ends it)", flush=True)
+    print(f"Runs: {address}\nThe server needs some seconds to start; Ctrl-C ends it.", flush=True)
     command = server_command(uri, arguments.port)
     os.execv(command[0], command)
 

@@ -8,14 +8,20 @@ imported when a ledger is opened, not before: that takes more than a second.
 import os
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from flows.pipeline.errors import LedgerError
 from flows.pipeline.files import locked
-from flows.pipeline.mlflow_setup import import_mlflow, make_database, origin, without_password
+from flows.pipeline.mlflow_setup import (
+    EXPERIMENT,
+    import_mlflow,
+    make_database,
+    origin,
+    without_password,
+)
 from flows.pipeline.mlflow_writes import log_batches, log_datasets
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.run_content import flat, link_tree, read_content
@@ -29,9 +35,7 @@ _TAG_LENGTH = 5000
 class MlflowLedger:
     """One MLflow experiment, in a database of our own or wherever MLFLOW_TRACKING_URI says."""
 
-    def __init__(
-        self, root: Path | str, experiment: str = "proximity-bench", source: str = ""
-    ) -> None:
+    def __init__(self, root: Path | str, experiment: str = EXPERIMENT, source: str = "") -> None:
         """Opens the ledger; makes database and experiment if there are none.
 
         Args:
@@ -110,14 +114,14 @@ class MlflowLedger:
         self,
         status: str,
         report_files: Iterable[Path] = (),
-        metrics: Mapping[str, float] | None = None,
+        metrics: Mapping[str, Sequence[tuple[int, float]]] | None = None,
     ) -> None:
         """Ends the parent run.
 
         Args:
             status: FINISHED, FAILED or KILLED.
             report_files: Files to keep with it, under `report/`.
-            metrics: Final numbers.
+            metrics: Per name (step, value) pairs; a single number has step 0.
 
         Raises:
             LedgerError: MLflow cannot be used.
@@ -131,7 +135,11 @@ class MlflowLedger:
             log_batches(
                 self.client,
                 self._sweep,
-                metrics=[(n, float(v), now, 0) for n, v in (metrics or {}).items()],
+                metrics=[
+                    (name, float(value), now, step)
+                    for name, points in (metrics or {}).items()
+                    for step, value in points
+                ],
             )
             self.client.set_terminated(self._sweep, status)
             self._sweep = None

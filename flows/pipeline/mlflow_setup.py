@@ -9,7 +9,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-__all__ = ["import_mlflow", "make_database", "origin", "without_password"]
+__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "origin", "without_password"]
+
+EXPERIMENT = "proximity-bench"
+"""Name of the MLflow experiment that all sweeps share."""
 
 
 def import_mlflow() -> Any:

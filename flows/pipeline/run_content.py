@@ -49,7 +49,8 @@ def read_content(folder: Path) -> RunContent:
     # A name that is both a curve and a final number keeps its curve and gets the number at its end.
     ends = {name: step for name, _, _, step in metrics}
     finals = dict(read_json(folder / "metrics.json") or {})
-    finals |= {f"cost/{name}": record[name] for name in _MEASURED if name in record}
+    # Named to sort last: the charts page opens with what was learned, not with what it took.
+    finals |= {f"usage/{name}": record[name] for name in _MEASURED if name in record}
     metrics += [
         (_name(name), float(value), last, ends.get(_name(name), 0))
         for name, value in finals.items()

@@ -63,7 +63,7 @@ def run(home: Path, nodes: list[Node], sweep: str = "first") -> tuple[Outcome, M
         outcome = run_plan(plan, ArtifactStore(home), ledger, display, executor=SerialExecutor())
     report = home / "results.csv"
     report.write_text("dataset\n")
-    ledger.close_sweep(outcome.status, [report], {"nodes": len(plan)})
+    ledger.close_sweep(outcome.status, [report], {"nodes": [(0, len(plan))]})
     return outcome, ledger
 
 
@@ -111,7 +111,7 @@ def test_sweep_and_nodes_are_recorded(home: Path) -> None:
     assert last.data.params["list"] == "[1, 2]"
     assert last.data.params["nested.x"] == "null"
     assert last.data.metrics["value"] == 2.0
-    assert last.data.metrics["cost/wall_seconds"] == record["wall_seconds"]
+    assert last.data.metrics["usage/wall_seconds"] == record["wall_seconds"]
     history = ledger.client.get_metric_history(last.info.run_id, "train/loss")
     assert [(m.step, m.value) for m in history] == [(i, 2.0 + i) for i in range(10)]
     (read,) = last.inputs.dataset_inputs

@@ -1,0 +1,187 @@
+"""Settings: the documented defaults are the code's, and everything wrong ends in one sentence."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from components.algorithms import ALGORITHMS
+from components.data.catalogue import DATASETS
+from components.models import MODELS
+from flows.settings import CONF, Settings, SettingsError, load_settings
+
+ROOT = Path(__file__).parents[2]
+ALL_DATASETS = ", ".join(sorted(DATASETS))
+
+
+@pytest.fixture(scope="module")
+def paper() -> Settings:
+    return load_settings([])
+
+
+def documented(group: str, name: str) -> dict:
+    return yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))[name]
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_documented_defaults_of_algorithms_are_the_code_s(name: str, paper: Settings) -> None:
+    default = ALGORITHMS[name].Config()
+    assert paper.algorithm[name] == default
+    assert type(paper.algorithm[name]) is type(default)
+    fields = dataclasses.asdict(default)
+    written = documented("algorithm", name)
+    assert list(written) == list(fields)
+    assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == fields
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_documented_defaults_of_models_are_the_code_s(name: str, paper: Settings) -> None:
+    assert paper.model[name] == MODELS[name]()
+    assert list(documented("model", name)) == [f.name for f in dataclasses.fields(MODELS[name])]
+
+
+def test_every_algorithm_and_model_has_its_file() -> None:
+    for group, known in (("algorithm", ALGORITHMS), ("model", MODELS), ("dataset", DATASETS)):
+        assert {path.stem for path in (CONF / group).glob("*.yaml")} == set(known)
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_documented_datasets_are_the_catalogue_s(name: str, paper: Settings) -> None:
+    assert paper.dataset[name] == DATASETS[name]
+
+
+def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Settings) -> None:
+    assert paper.profile_name == "paper"
+    assert paper.datasets == tuple(sorted(DATASETS))
+    assert paper.algorithms == ("lion", "td3_bc")
+    assert paper.seeds == (0, 1, 2, 3, 4)
+    assert (paper.algorithm["lion"].updates, paper.algorithm["td3_bc"].updates) == (1000, 10_000)
+    assert paper.training.snapshots == 20
+    assert (paper.evaluation.trajectories, paper.evaluation.horizon) == (10, 100)
+    assert paper.evaluation.lambda_step == 0.05
+    assert paper.aggregation.pool_fraction == 0.1
+    assert paper.store == Path("mlruns")
+    assert not paper.dry_run
+
+
+def test_quick_is_four_datasets_both_algorithms_and_two_seeds() -> None:
+    quick = load_settings(["profile=quick"])
+    assert (len(quick.datasets), len(quick.algorithms), len(quick.seeds)) == (4, 2, 2)
+    assert quick.algorithm["lion"].updates < 1000
+    assert quick.training.snapshots == 20
+
+
+def test_command_line_wins_over_profile_and_selects() -> None:
+    settings = load_settings(
+        [
+            "seeds=[7,3]",
+            "algorithm.lion.hidden=[12,8]",
+            "datasets=[optimized-0.6,bad-0.0]",
+            "algorithms=lion",
+            "data.steps=300",
+            "profile=smoke",
+        ]
+    )
+    assert settings.seeds == (7, 3)
+    assert settings.algorithm["lion"].hidden == (12, 8)
+    assert settings.datasets == ("optimized-0.6", "bad-0.0")
+    assert settings.algorithms == ("lion",)
+    assert settings.dataset["bad-0.0"].steps == 300
+    assert settings.dataset["bad-0.0"].trajectories == 10
+    assert settings.algorithm["lion"].updates == 8, "the profile's budget stays"
+
+
+@pytest.mark.parametrize(
+    ("word", "valid"),
+    [
+        # unknown keys
+        ("foo=1", "Unknown key 'foo'; valid keys: aggregation, algorithm, .* training"),
+        ("algoritms=[lion]", "Did you mean 'algorithms'"),
+        ("data.foo=1", "Unknown key 'data.foo'; valid keys in data: seed, steps, trajectories"),
+        ("algorithm.lion.bta=1", "valid keys in algorithm.lion: beta, .*Did you mean 'beta'"),
+        ("algorithm.foo.updates=3", "valid keys in algorithm: lion, td3_bc"),
+        ("model.foo.hidden=3", "valid keys in model: behaviour_policy, recurrent_ensemble"),
+        ("evaluation.discount=0.5", "valid keys in evaluation: horizon, lambda_step"),
+        ("dataset.bad-0.2.epsilon=2", "edit conf/dataset, or select with datasets="),
+        # unknown names
+        ("profile=fast", "Unknown profile 'fast'; valid ones are paper, quick, smoke"),
+        ("profile=", "valid ones are paper, quick, smoke"),
+        ("datasets=[mediocre-0.3]", f"Unknown dataset 'mediocre-0.3'; valid ones are {ALL_DATASETS}"),
+        ("datasets=[]", f"selects nothing; valid ones are {ALL_DATASETS}"),
+        ("datasets=null", f"valid ones are {ALL_DATASETS}"),
+        ("datasets=[bad-0.0,bad-0.0]", "names one twice"),
+        ("algorithms=[lyon]", "valid ones are lion, td3_bc, or all. Did you mean 'lion'"),
+        ("algorithms=[]", "valid ones are lion, td3_bc"),
+        # values
+        ("seeds=[]", "must be a list of different whole numbers"),
+        ("seeds=[0,0]", "must be a list of different whole numbers"),
+        ("seeds=[-1]", "whole numbers from 0"),
+        ("seeds=[0.5]", "whole numbers from 0"),
+        ("seeds=[true]", "whole numbers from 0"),
+        ("seeds=two", "whole numbers from 0"),
+        ("data.seed=-1", "data.seed=-1: .* greater than or equal to 0"),
+        ("data.steps=x", "data.steps='x': .* integer"),
+        ("data.steps=true", "data.steps=true: .* no boolean"),
+        ("data.trajectories=1", "greater than or equal to 2"),
+        ("training.snapshots=3.5", "valid integer"),
+        ("training.snapshots=2000", "raise the one or lower the other"),
+        ("evaluation.lambda_step=0.3", "lambda_step must divide 1"),
+        ("aggregation.pool_fraction=2", "less than or equal to 1"),
+        ("runner.executor=dask", "should be 'ray' or 'serial'"),
+        ("runner.device=tpu", "'auto', 'cpu' or 'cuda'"),
+        ("runner.cpus=0", "greater than or equal to 1"),
+        ("algorithm.lion.updates=0", "algorithm.lion: updates, .* at least 1"),
+        ("algorithm.lion.discount=1.5", r"discount must lie in \(0, 1\]"),
+        ("algorithm.lion.hidden=256", "algorithm.lion.hidden=256: .* tuple"),
+        ("algorithm.lion.learning_rate=nan", "algorithm.lion.learning_rate=nan: .* finite"),
+        ("algorithm.td3_bc.alpha=inf", "algorithm.td3_bc.alpha=inf: .* finite"),
+        ("model.recurrent_ensemble.updates=0", "updates must be at least 1"),
+        ("sweep=../up", "sweep='../up': .* match pattern"),
+        ("store=", "store= is empty; name a folder"),
+        ("store=${nope}", "nope"),
+        ("dry_run=maybe", "boolean"),
+        # shape
+        ("lion", "'lion' is not an override; write key=value"),
+        ("+foo=1", "is not an override; write key=value"),
+        ("~datasets", "is not an override; write key=value"),
+        ("seeds=0,1", r"lists values without brackets; write seeds=\[...\]"),
+        ("seeds=[0", "cannot be read; write key=value with lists as"),
+        ("data=3", "data=3 must be a group of keys, e.g. data.KEY=VALUE"),
+        ("algorithm=1", "algorithm=1 must be a group of keys"),
+        ("model=null", "model=None must be a group of keys"),
+        ("algorithm.lion=1", "algorithm.lion=1 must be a group of keys"),
+    ],
+)
+def test_what_is_wrong_ends_in_one_sentence(word: str, valid: str) -> None:
+    with pytest.raises(SettingsError, match=valid) as caught:
+        load_settings([word])
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message[-1] in ".?"
+
+
+@pytest.mark.parametrize(
+    ("word", "code", "says"),
+    [("foo=1", 2, "full_benchmark: Unknown key 'foo'; valid keys: "), ("dry_run=true", 0, "")],
+)
+def test_bad_input_and_dry_runs_leave_nothing_behind(
+    word: str, code: int, says: str, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "flows.full_benchmark", "profile=smoke", "store=left", word],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    assert done.stderr.startswith(says)
+    assert len(done.stderr.splitlines()) == (1 if code else 0)
+    assert list(tmp_path.iterdir()) == []
+    if not code:
+        assert "13 " in done.stdout, "the number of nodes"
