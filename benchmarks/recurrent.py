@@ -20,15 +20,29 @@ from components.models.recurrent_ensemble import (
     predict_windows,
 )
 
-__all__ = ["PlainNetwork", "plain_pass", "random_problem", "report", "stacked_pass"]
+__all__ = [
+    "PlainNetwork",
+    "plain_networks",
+    "plain_pass",
+    "random_problem",
+    "report",
+    "stacked_pass",
+]
 
 
 class PlainNetwork(nn.Module):
     """One network of the ensemble, step by step."""
 
-    def __init__(self, weight: Tensor, readout: Tensor) -> None:
-        """Takes over `weight [H, H + 6]` and `readout [1, H + 1]` of a stack's member."""
+    def __init__(self, weight: Tensor, readout: Tensor, feeds_back: bool) -> None:
+        """Takes over `weight [H, H + 6]` and `readout [1, H + 1]` of a stack's member.
+
+        Args:
+            weight: Columns hidden state, steerings, own previous value, bias.
+            readout: Last column the bias.
+            feeds_back: Whether its own prediction is the next input; else that input stays zero.
+        """
         super().__init__()
+        self.feeds_back = feeds_back
         width = weight.shape[0]
         self.recurrent = nn.Parameter(weight[:, :width].clone())
         self.inputs = nn.Parameter(weight[:, width:-1].clone())
@@ -42,7 +56,7 @@ class PlainNetwork(nn.Module):
         predictions: list[Tensor] = []
         for step, window in enumerate(windows):
             steering, own = window[:, : len(INPUTS)], window[:, len(INPUTS) :]
-            if step > warm_up:
+            if self.feeds_back and step > warm_up:
                 own = predictions[-1]
             x = torch.cat([steering, own], dim=1)
             hidden = torch.tanh(
@@ -59,7 +73,7 @@ def random_problem(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Weights `[M, H, H + 6]`, readouts `[M, 1, H + 1]`, windows `[T, M, 5, B]`, targets.
 
-    Every network feeds its prediction back, as the fatigue networks do.
+    As in the ensemble, the second half of the networks, those of consumption, has no own input.
     """
     generator = torch.Generator().manual_seed(0)
     cells, width = 2 * config.members, config.hidden
@@ -72,7 +86,18 @@ def random_problem(
     windows = torch.randn(steps, cells, len(INPUTS) + 1, config.batch, generator=generator)
     targets = torch.randn(config.horizon, cells, config.batch, generator=generator)
     weight, readout = uniform(cells, width, width + 6), uniform(cells, 1, width + 1)
+    windows[:, config.members :, -1] = 0.0
+    weight[config.members :, :, -2] = 0.0
     return weight, readout, windows.to(device), targets.to(device)
+
+
+def plain_networks(weight: Tensor, readout: Tensor) -> list[PlainNetwork]:
+    """The members of a stack, one by one."""
+    fatigue = len(weight) // 2
+    return [
+        PlainNetwork(w, r, number < fatigue).to(w.device)
+        for number, (w, r) in enumerate(zip(weight, readout, strict=True))
+    ]
 
 
 def stacked_pass(
@@ -121,7 +146,7 @@ def report(
     sizes = config or RecurrentEnsembleConfig()
     place = torch.device(device)
     weight, readout, windows, targets = random_problem(sizes, place)
-    networks = [PlainNetwork(w, r).to(place) for w, r in zip(weight, readout, strict=True)]
+    networks = plain_networks(weight, readout)
     batch_major = [part.transpose(1, 2).contiguous() for part in windows.unbind(dim=1)]
     weight.requires_grad_()
     readout.requires_grad_()

@@ -8,6 +8,7 @@ choices.
 import dataclasses
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -136,11 +137,17 @@ def load_settings(overrides: Sequence[str]) -> Settings:
             f"Unknown profile {profile!r}; valid ones are {', '.join(_names('profile'))}."
             + _hint(profile, _names("profile"))
         )
-    _check_keys(rest, _compose(profile, []))
-    return _check(_compose(profile, rest))
+    base = _compose(profile)
+    _check_keys(rest, base)
+    try:
+        return _check(OmegaConf.merge(base, _parse(rest)))  # type: ignore[arg-type]
+    except OmegaConfBaseException as error:
+        raise SettingsError(f"{_first_line(error)}; write a plain value.") from error
 
 
-def _compose(profile: str, overrides: Sequence[str]) -> DictConfig:
+@cache
+def _compose(profile: str) -> DictConfig:
+    """The files of conf/ joined with a profile; not to be changed by the caller."""
     groups = [
         f"+{group}=[{','.join(_names(group))}]" for group in ("dataset", "algorithm", "model")
     ]
@@ -152,7 +159,7 @@ def _compose(profile: str, overrides: Sequence[str]) -> DictConfig:
             OmegaConf.set_struct(base, False)
             merged = OmegaConf.merge(base, chosen)
             OmegaConf.set_struct(merged, True)
-            return OmegaConf.merge(merged, _parse(overrides))  # type: ignore[return-value]
+            return merged  # type: ignore[return-value]
     except (HydraException, OmegaConfBaseException) as error:
         raise SettingsError(_first_line(error)) from error
 
@@ -204,10 +211,7 @@ def _check_keys(overrides: Sequence[str], base: DictConfig) -> None:
 
 
 def _check(config: DictConfig) -> Settings:
-    try:
-        values: Any = OmegaConf.to_container(config, resolve=True)
-    except OmegaConfBaseException as error:
-        raise SettingsError(f"{_first_line(error)}; write a plain value.") from error
+    values: Any = OmegaConf.to_container(config, resolve=True)
     for group in ("dataset", "algorithm", "model"):
         _check_group(group, values[group])
     if values["store"] == "":

@@ -42,8 +42,9 @@ class EvaluationConfig:
             raise ValueError("trajectories and horizon must be at least 1.")
         if not 0 < self.discount <= 1:
             raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
-        if not 0 < self.lambda_step <= 1 or abs(1 / self.lambda_step % 1) > 1e-9:
-            raise ValueError(f"lambda_step must divide 1, got {self.lambda_step}.")
+        step = self.lambda_step
+        if not 0 < step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
+            raise ValueError(f"lambda_step must divide 1, got {step}.")
 
     @property
     def lambdas(self) -> tuple[float, ...]:

@@ -110,7 +110,10 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         # unknown names
         ("profile=fast", "Unknown profile 'fast'; valid ones are paper, quick, smoke"),
         ("profile=", "valid ones are paper, quick, smoke"),
-        ("datasets=[mediocre-0.3]", f"Unknown dataset 'mediocre-0.3'; valid ones are {ALL_DATASETS}"),
+        (
+            "datasets=[mediocre-0.3]",
+            f"Unknown dataset 'mediocre-0.3'; valid ones are {ALL_DATASETS}",
+        ),
         ("datasets=[]", f"selects nothing; valid ones are {ALL_DATASETS}"),
         ("datasets=null", f"valid ones are {ALL_DATASETS}"),
         ("datasets=[bad-0.0,bad-0.0]", "names one twice"),
@@ -166,7 +169,10 @@ def test_what_is_wrong_ends_in_one_sentence(word: str, valid: str) -> None:
 
 @pytest.mark.parametrize(
     ("word", "code", "says"),
-    [("foo=1", 2, "full_benchmark: Unknown key 'foo'; valid keys: "), ("dry_run=true", 0, "")],
+    [
+        ("foo=1", 2, "full_benchmark: Unknown key 'foo'; valid keys: "),
+        ("dry_run=true", 0, "13 of 13 nodes to do"),
+    ],
 )
 def test_bad_input_and_dry_runs_leave_nothing_behind(
     word: str, code: int, says: str, tmp_path: Path
@@ -180,8 +186,8 @@ def test_bad_input_and_dry_runs_leave_nothing_behind(
         check=False,
     )
     assert done.returncode == code, done.stderr
-    assert done.stderr.startswith(says)
-    assert len(done.stderr.splitlines()) == (1 if code else 0)
+    assert says in done.stderr
     assert list(tmp_path.iterdir()) == []
-    if not code:
-        assert "13 " in done.stdout, "the number of nodes"
+    if code:
+        assert len(done.stderr.splitlines()) == 1
+        assert done.stdout == ""

@@ -25,10 +25,11 @@ def test_a_deterministic_operator_is_cloned() -> None:
     truth = controller(clean.frames[starts, 1:4].astype(np.float64))
     error = float(np.square(actions - truth).mean())
     spread = float(truth.var(axis=0).mean())
-    # measured 0.002 of a spread of 0.028; predicting the mean action would give the spread
-    assert error < 0.2 * spread
-    # A tenth of the steps explores: variance 1/3 around a mean that no clone can know.
-    assert metrics["validation_mse"] < 0.1 * 1 / 3 + 0.03
+    # measured 0.0014 against 0.050, which a clone that always takes the mean action would reach
+    assert error < 0.1 * spread
+    # A tenth of the steps explores, which costs a perfect clone 1/3 + mean a^2 there, about 0.04
+    # in all; measured 0.059 on two held-out trajectories.
+    assert metrics["validation_mse"] < 0.08
     steps, values = curves.of_lane(0)["model/validation_mse"]
     assert len(steps) == 60
     assert metrics["validation_mse"] == pytest.approx(min(values), rel=1e-6)
@@ -80,12 +81,33 @@ def test_interrupted_equals_uninterrupted(
         return fit_behaviour_policies(logs, SMALL, keys("a", "b"), CPU, checkpoint)
 
     expected = fit(None)
-    found = killed_at(
-        deaths, behaviour_policy._BehaviourLearner, fit, tmp_path / "c", monkeypatch
-    )
+    found = killed_at(deaths, behaviour_policy._BehaviourLearner, fit, tmp_path / "c", monkeypatch)
     for ours, theirs in zip(found[0], expected[0], strict=True):
         for (w, b), (v, c) in zip(ours.layers, theirs.layers, strict=True):
             assert torch.equal(w, v)
             assert torch.equal(b, c)
     assert found[1] == expected[1]
     assert lanes(found[2], 2) == lanes(expected[2], 2)
+
+
+def test_what_was_best_survives_an_interruption(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At so high a rate the best state lies before the last checkpoint, the one after update 40."""
+    save_always(monkeypatch, behaviour_policy)
+    config = BehaviourPolicyConfig(hidden=(8,), epochs=8, batch=32, learning_rate=0.05)
+    logs = [make_log("one", seed=1), make_log("two", seed=2)]
+
+    def fit(checkpoint: Path | None) -> tuple:
+        return fit_behaviour_policies(logs, config, keys("a", "b"), CPU, checkpoint)
+
+    expected = fit(None)
+    for lane in (0, 1):
+        _, losses = expected[2].of_lane(lane)["model/validation_mse"]
+        assert min(losses[:6]) < min(losses[6:]), "epochs of six updates"
+    learner = behaviour_policy._BehaviourLearner
+    found = killed_at([45], learner, fit, tmp_path / "c", monkeypatch)
+    for ours, theirs in zip(found[0], expected[0], strict=True):
+        for (w, _), (v, _) in zip(ours.layers, theirs.layers, strict=True):
+            assert torch.equal(w, v)
+    assert found[1] == expected[1]

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from components.data.catalogue import DATASETS, generate
+from components.data.normaliser import Normaliser
 from components.models import recurrent_ensemble
 from components.models.recurrent_ensemble import (
     RecurrentEnsemble,
@@ -16,10 +17,11 @@ from components.models.recurrent_ensemble import (
     fit_recurrent_ensemble,
     predict_windows,
 )
+from components.models.rollout import MachineRule, VirtualMachine
 from components.networks import lane_key
 from components.networks.checkpoint import save_tensors
 from tests.components.interruption import killed_at, lanes, save_always
-from tests.components.synthetic import CPU, make_log, random_ensemble
+from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
 
 TINY = RecurrentEnsembleConfig(
     members=2, hidden=6, warm_up=5, horizon=8, batch=16, updates=40, validate_every=7, holdout=0.2
@@ -33,7 +35,9 @@ def by_loop(weight: Tensor, readout: Tensor, windows: Tensor, warm_up: int) -> T
     hidden = windows.new_zeros(weight.shape[0], width, windows.shape[-1])
     predictions: list[Tensor] = []
     for t, x in enumerate(windows):
-        own = x[:, 4:] if t <= warm_up else predictions[-1][:, None]
+        own = x[:, 4:].clone()
+        if t > warm_up:  # the first half, the fatigue networks, feed themselves
+            own[: len(own) // 2] = predictions[-1][: len(own) // 2, None]
         ones = torch.ones_like(own)
         hidden = torch.tanh(weight @ torch.cat([hidden, x[:, :4], own, ones], dim=1))
         predictions.append((readout @ torch.cat([hidden, ones], dim=1)).squeeze(1))
@@ -47,6 +51,7 @@ def test_closed_loop_equals_feeding_predictions_back() -> None:
         for shape in ((4, 6, 12), (4, 1, 7))
     ]
     windows = torch.randn(13, 4, 5, 9, generator=g, dtype=torch.float64)
+    windows[:, 2:, 4] = 0.0  # consumption networks have no own value
     ours = predict_windows(*made, windows, TINY)
     theirs = by_loop(*made, windows, TINY.warm_up)
     assert ours.shape == (8, 4, 9)
@@ -97,7 +102,7 @@ def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
 
 
 def test_learns_the_small_machine() -> None:
-    log = make_log(episodes=10, steps=60)
+    log = make_log(episodes=20, steps=60)
     config = RecurrentEnsembleConfig(
         members=2, hidden=12, warm_up=5, horizon=10, batch=64, updates=400, validate_every=50,
         learning_rate=1e-2,
@@ -105,14 +110,52 @@ def test_learns_the_small_machine() -> None:
     ensemble, metrics, curves = fit_recurrent_ensemble(log, config, lane_key("fit"), CPU)
     for lane in range(4):
         _, values = curves.of_lane(lane)["model/train_mse"]
-        # mean over the first 50 updates against the last; measured factors 25 and more
-        assert values[-1] < values[0] / 5
-    # predicting the mean gives about 1; measured below 0.01
-    assert metrics["validation_mse/fatigue"] < 0.1
-    assert metrics["validation_mse/consumption"] < 0.1
+        # mean over the first 50 updates against the last; measured factors of 160 and more
+        assert values[-1] < values[0] / 20
+    # predicting the mean gives about 1; measured 0.001 and 0.0005
+    assert metrics["validation_mse/fatigue"] < 0.02
+    assert metrics["validation_mse/consumption"] < 0.02
     assert ensemble.members == 2
-    assert not ensemble.weight[2:, :, 12 + 4].any(), "consumption networks read no own value"
-    assert ensemble.weight[:2, :, 12 + 4].all()
+
+
+def test_consumption_networks_read_no_own_value() -> None:
+    """Training must not move the column, which roll-outs feed with zero: they would disagree."""
+    ensemble, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("column"), CPU)
+    assert ensemble.weight[:2, :, 6 + 4].all()
+    assert not ensemble.weight[2:, :, 6 + 4].any()
+
+
+def test_training_and_roll_outs_predict_the_same() -> None:
+    """The loss's closed loop and the virtual machine's are one and the same."""
+    ensemble, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("same"), CPU)
+    alone = RecurrentEnsemble(
+        ensemble.weight[::2],  # a machine of one pair has no choice to make
+        ensemble.readout[::2],
+        ensemble.frames,
+        ensemble.low - 99.0,
+        ensemble.high + 99.0,
+    )
+    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    start = windows.held_out[:7]
+    inputs, _ = windows.gather(start.expand(4, -1))
+    expected = predict_windows(alone.weight, alone.readout, inputs[:, ::2], TINY)
+    rows = start[:, None] + TINY.warm_up - torch.arange(TINY.warm_up + 1)
+    history = torch.from_numpy(LOG.frames)[rows][None]
+    actions = [LOG.frames[start + TINY.warm_up + t + 1, 1:4] for t in range(TINY.horizon)]
+    plain = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
+    virtual = VirtualMachine([alone], MachineRule.of_card(LOG.card), plain, CPU)
+    seen: list[Tensor] = []
+
+    def act(observation: Tensor) -> Tensor:
+        seen.append(observation[0, :, :6])
+        moved = torch.from_numpy(actions[len(seen) - 1]) - observation[0, :, 1:4]
+        return (moved / torch.tensor(SCALE).float())[None]
+
+    virtual.unroll(history, act, TINY.horizon)
+    for t, frame in enumerate(seen[1:]):
+        scaled = ensemble.frames.apply(frame)[:, 4:]
+        # eight recurrent steps in float32, scaled and unscaled
+        torch.testing.assert_close(scaled, expected[t].T, rtol=1e-3, atol=1e-3)
 
 
 def test_reported_loss_belongs_to_the_best_state() -> None:
@@ -132,7 +175,9 @@ def test_reported_loss_belongs_to_the_best_state() -> None:
 
 def test_stops_when_no_network_improves() -> None:
     # With a rate this large the networks only get worse after a while.
-    config = dataclasses.replace(TINY, updates=5000, learning_rate=3.0, validate_every=2, patience=3)
+    config = dataclasses.replace(
+        TINY, updates=5000, learning_rate=3.0, validate_every=2, patience=3
+    )
     _, _, curves = fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU)
     steps, _ = curves.of_lane(0)["model/validation_mse"]
     assert steps[-1] < 5000
@@ -149,9 +194,7 @@ def test_members_differ_and_do_not_feel_each_other() -> None:
     assert not torch.equal(four.weight[0], four.weight[1])
     for network, same in ((0, 0), (1, 1), (2, 3), (3, 4)):
         # forty updates in float32; stacking may change the order of sums
-        torch.testing.assert_close(
-            four.weight[network], eight.weight[same], rtol=1e-3, atol=1e-5
-        )
+        torch.testing.assert_close(four.weight[network], eight.weight[same], rtol=1e-3, atol=1e-5)
 
 
 def test_storage(tmp_path: Path) -> None:
@@ -172,10 +215,8 @@ def test_logs_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match=r"Trajectory 0 of toy is shorter than .* = 48 steps"):
         fit_recurrent_ensemble(LOG, long, 0, CPU)
     features = ("position", *LOG.card.frame_features[1:])
-    other = dataclasses.replace(
-        LOG, card=dataclasses.replace(LOG.card, frame_features=features)
-    )
-    with pytest.raises(ValueError, match="needs frames of .* but toy logs .*'position'"):
+    other = dataclasses.replace(LOG, card=dataclasses.replace(LOG.card, frame_features=features))
+    with pytest.raises(ValueError, match=r"needs frames of .* but toy logs .*'position'"):
         fit_recurrent_ensemble(other, TINY, 0, CPU)
 
 
@@ -189,22 +230,40 @@ def test_interrupted_equals_uninterrupted(
         return fit_recurrent_ensemble(LOG, TINY, lane_key("resume"), CPU, checkpoint)
 
     expected = fit(None)
-    found = killed_at(
-        deaths, recurrent_ensemble._EnsembleLearner, fit, tmp_path / "c", monkeypatch
-    )
+    found = killed_at(deaths, recurrent_ensemble._EnsembleLearner, fit, tmp_path / "c", monkeypatch)
     assert torch.equal(found[0].weight, expected[0].weight)
     assert torch.equal(found[0].readout, expected[0].readout)
     assert found[1] == expected[1]
     assert lanes(found[2], 4) == lanes(expected[2], 4)
 
 
+def test_what_was_best_survives_an_interruption(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a rate that only does harm, the best state lies long before the kill."""
+    config = dataclasses.replace(
+        TINY, updates=5000, learning_rate=3.0, validate_every=4, patience=8
+    )
+    save_always(monkeypatch, recurrent_ensemble)
+
+    def fit(checkpoint: Path | None) -> tuple:
+        return fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU, checkpoint)
+
+    expected = fit(None)
+    steps, _ = expected[2].of_lane(0)["model/validation_mse"]
+    learner = recurrent_ensemble._EnsembleLearner
+    found = killed_at([steps[-1] - 1], learner, fit, tmp_path / "c", monkeypatch)
+    assert torch.equal(found[0].weight, expected[0].weight)
+    assert found[1] == expected[1]
+    assert lanes(found[2], 4) == lanes(expected[2], 4)
+
+
 @pytest.mark.slow
 def test_part_of_the_default_budget_on_the_real_log() -> None:
-    """Default settings but 400 of 3,000 updates, on the real mediocre-1.0.
+    """Default settings but 400 of 3,000 updates, on the real mediocre-1.0; half a minute.
 
-    Measured: fatigue 0.051, consumption 0.0094 (run-to-run differences come from the seed alone
-    and are a few percent); the bounds leave a third and more. The whole default budget reaches
-    0.05 and 0.008, see the next test.
+    Measured 0.034 (fatigue) and 0.0127 (consumption): the bounds are twice that. The whole default
+    budget reaches the required 0.05 and 0.008, see the next test.
     """
     config = RecurrentEnsembleConfig(updates=400)
     log = generate(DATASETS["mediocre-1.0"], seed=0)
@@ -216,7 +275,10 @@ def test_part_of_the_default_budget_on_the_real_log() -> None:
 
 @pytest.mark.slow
 def test_default_settings_reach_the_required_accuracy() -> None:
-    """The whole default budget on the real mediocre-1.0, about three minutes on one core."""
+    """The whole default budget on the real mediocre-1.0, 163 s on one core.
+
+    Measured 0.028 (fatigue) and 0.0022 (consumption).
+    """
     log = generate(DATASETS["mediocre-1.0"], seed=0)
     key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
     _, metrics, _ = fit_recurrent_ensemble(log, RecurrentEnsembleConfig(), key, CPU)

@@ -8,6 +8,8 @@ import pytest
 import torch
 from torch import nn
 
+from components.networks import StackedMLP, lane_generator
+from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.policy import Policy, standardise_lambda
 from tests.components.synthetic import FEATURES, constant_policy, make_log, random_policy
 
@@ -48,13 +50,13 @@ def test_lanes_and_concatenation(policy: Policy) -> None:
     parts = [policy.lane(n, policy.card) for n in (0, 1)]
     both = Policy.concatenate(policy.card, parts[::-1])
     assert both.lanes == 2
-    for ours, theirs in zip(both.act(HISTORIES.flip(0)), policy.act(HISTORIES).flip(0), strict=True):
+    for ours, theirs in zip(
+        both.act(HISTORIES.flip(0)), policy.act(HISTORIES).flip(0), strict=True
+    ):
         assert torch.equal(ours, theirs)
 
 
 def test_a_copy_does_not_follow_the_network_it_came_from() -> None:
-    from components.networks import StackedMLP, lane_generator
-
     network = StackedMLP([lane_generator(1)], (18, 3))
     like = random_policy(LOG, ("a",))
     policy = Policy.of_network(like.card, network, like.frames)
@@ -135,8 +137,6 @@ def test_damaged_weights_are_refused_and_nothing_is_unpickled(folder: Path) -> N
 
 
 def test_weights_without_a_layer_are_refused(policy: Policy, folder: Path) -> None:
-    from components.networks.checkpoint import load_tensors, save_tensors
-
     path = folder / "weights.safetensors"
     tensors, header = load_tensors(path)
     del tensors["layer1.bias"]

@@ -105,5 +105,5 @@ def test_select_lanes_with_twins(lanes: Sequence[int]) -> None:
 
 @pytest.mark.parametrize("tensor", [torch.zeros(4, 2), torch.tensor(1.0)])
 def test_select_lanes_names_what_holds_no_lanes(tensor: torch.Tensor) -> None:
-    with pytest.raises(ValueError, match="odd has shape .* holds no 3 lanes"):
+    with pytest.raises(ValueError, match=r"odd has shape .* holds no 3 lanes"):
         select_lanes({"odd": tensor}, [0], of=3)

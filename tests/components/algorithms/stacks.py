@@ -1,0 +1,45 @@
+"""Small learners of every algorithm on the small machine."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from components.algorithms import ALGORITHMS
+from components.algorithms.base import Ingredients
+from components.data.dataset import OfflineDataset
+from components.data.lanes import LaneData
+from components.networks.streams import lane_key
+from tests.components.synthetic import CPU, random_ensemble, random_policy
+
+SMALL: dict[str, dict[str, Any]] = {
+    "lion": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
+    "td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+}
+
+
+def config(algorithm: str, **changes: Any) -> Any:
+    """Small settings of an algorithm."""
+    return ALGORITHMS[algorithm].Config(**(SMALL[algorithm] | changes))
+
+
+def learner(
+    algorithm: str, logs: Sequence[OfflineDataset], seeds: Sequence[int], **changes: Any
+) -> Any:
+    """A stack with one lane per log and seed; models belong to the log, streams to both."""
+    module = ALGORITHMS[algorithm]
+    needed = bool(module.NEEDS)
+    parts = Ingredients(
+        data=LaneData(logs, CPU, module.FRAME_EPSILON),
+        keys=[
+            lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
+        ],
+        behaviour_policies=[random_policy(log, (log.card.name,)) for log in logs if needed],
+        recurrent_ensembles=[random_ensemble(log, log.card.name) for log in logs if needed],
+    )
+    return module.Learner(config(algorithm, **changes), parts)
+
+
+def run(made: Any, updates: int, start: int = 0) -> list[dict[str, torch.Tensor]]:
+    """Updates in a row; returns their metrics."""
+    return [made.update(step) for step in range(start, start + updates)]

@@ -1,0 +1,112 @@
+"""What every algorithm owes: shapes, bounds, finite metrics, policies that can be stored."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from components.algorithms import ALGORITHMS
+from components.algorithms.base import Ingredients, first_rows
+from components.data.lanes import LaneData
+from components.models import MODELS
+from components.networks.policy import Policy
+from tests.components.algorithms.stacks import learner, run
+from tests.components.synthetic import CPU, make_log, policy_card, relabelled
+
+LOG = make_log()
+every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+
+
+@every_algorithm
+def test_module_offers_the_outline(name: str) -> None:
+    module = ALGORITHMS[name]
+    assert set(module.NEEDS) <= set(MODELS)
+    assert isinstance(module.TAKES_LAMBDA, bool)
+    assert module.VERSION >= 1
+    assert module.FRAME_EPSILON >= 0.0
+    assert module.Config().updates >= 1
+
+
+@every_algorithm
+def test_metrics_are_finite_and_one_per_lane(name: str) -> None:
+    made = learner(name, [LOG] * 3, range(3))
+    assert made.lanes == 3
+    for metrics in run(made, 8):
+        assert metrics
+        for value in metrics.values():
+            assert value.shape == (3,)
+            assert value.isfinite().all()
+            assert not value.requires_grad
+
+
+@every_algorithm
+def test_policies_act_within_bounds_and_survive_storage(name: str, tmp_path: Path) -> None:
+    takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
+    made = learner(name, [LOG] * 2, range(2), learning_rate=0.1)
+    run(made, 10)
+    policy = made.policy(policy_card(LOG, takes_lambda=takes_lambda))
+    assert policy.lanes == 2
+    histories = 50.0 * torch.randn(2, 9, 3, 6, generator=torch.Generator().manual_seed(0))
+    proximity = torch.linspace(0, 1, 9).expand(2, -1) if takes_lambda else None
+    actions = policy.act(histories, proximity)
+    assert actions.shape == (2, 9, 3)
+    assert actions.abs().max() <= 1.0
+    policy.save(tmp_path)
+    assert torch.equal(Policy.load(tmp_path).act(histories, proximity), actions)
+
+
+@every_algorithm
+def test_deployed_policy_sees_what_the_learner_saw(name: str) -> None:
+    """Raw frames through the artifact equal scaled frames through the learner's own network."""
+    made = learner(name, [LOG], [0])
+    run(made, 4)
+    takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
+    policy = made.policy(policy_card(LOG, takes_lambda=takes_lambda))
+    index = torch.tensor([[0, 1, 7, 39, 40, 200]])
+    observations = made._data.observations(index)
+    histories = made._data.denormalise_history(observations)
+    if takes_lambda:
+        proximity = torch.linspace(0, 1, 6)[None]
+        inside, outside = made._act(observations, proximity), policy.act(histories, proximity)
+    else:
+        inside, outside = torch.tanh(made._actor(observations)), policy.act(histories)
+    torch.testing.assert_close(inside.detach(), outside, rtol=1e-4, atol=1e-5)  # scaled twice
+
+
+@every_algorithm
+def test_a_policy_does_not_move_when_training_goes_on(name: str) -> None:
+    made = learner(name, [LOG], [0])
+    policy = made.policy(policy_card(LOG, takes_lambda=ALGORITHMS[name].TAKES_LAMBDA))
+    before = [weight.clone() for weight, _ in policy.layers]
+    run(made, 4)
+    for old, (weight, _) in zip(before, policy.layers, strict=True):
+        assert torch.equal(old, weight)
+
+
+@every_algorithm
+def test_state_has_lanes_first_and_round_trips(name: str) -> None:
+    made = learner(name, [LOG] * 3, range(3))
+    run(made, 6)
+    state = {k: v.clone() for k, v in made.state_dict().items()}
+    assert {tensor.shape[0] % 3 for tensor in state.values()} == {0}
+    expected = run(made, 4, start=6)
+    other = learner(name, [LOG] * 3, range(3))
+    other.load_state_dict(state)
+    for ours, theirs in zip(run(other, 4, start=6), expected, strict=True):
+        for metric, value in theirs.items():
+            assert torch.equal(ours[metric], value)
+
+
+def test_lanes_need_equal_shapes_and_one_machine() -> None:
+    with pytest.raises(ValueError, match="equal frame, action and history widths"):
+        LaneData([LOG, make_log(history=4)], CPU)
+    other = make_log("other")
+    other.card.machine["steering_high"] = 90.0  # type: ignore[index]
+    with pytest.raises(ValueError, match="same kind of machine"):
+        _ = Ingredients(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
+
+
+def test_first_rows_stay_inside_their_episodes() -> None:
+    short = make_log(episodes=2, steps=4)
+    assert first_rows(short, 2).tolist() == [0, 1, 4, 5]
+    assert first_rows(short, 9).tolist() == list(range(8))

@@ -1,0 +1,67 @@
+"""A lane of a stack learns what it would learn alone; equal seeds, equal numbers."""
+
+import pytest
+import torch
+
+from components.algorithms import ALGORITHMS
+from tests.components.algorithms.stacks import learner, run
+from tests.components.synthetic import make_log
+
+LOG = make_log()
+OTHER = make_log("other", seed=5, explore=0.2)
+UPDATES = 200
+every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+
+# Stacked and single products may sum in another order, and Adam turns a difference in a tiny
+# gradient into one of the step's size: after 200 updates at rate 1e-3 float32 leaves this much.
+CLOSE = {"rtol": 1e-2, "atol": 1e-3}
+
+
+def lane_state(made: object, lane: int) -> dict[str, torch.Tensor]:
+    state = made.state_dict()  # type: ignore[attr-defined]
+    return {
+        name: tensor.view(made.lanes, -1)[lane]  # type: ignore[attr-defined]
+        for name, tensor in state.items()
+    }
+
+
+def networks(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name: tensor for name, tensor in state.items() if "optimizer" not in name}
+
+
+@every_algorithm
+def test_lane_of_a_stack_equals_the_lane_alone(name: str) -> None:
+    stack = learner(name, [LOG] * 3, [0, 1, 2])
+    run(stack, UPDATES)
+    moved = networks(lane_state(stack, 1))
+    alone = learner(name, [LOG], [1])
+    fresh = {k: v.clone() for k, v in networks(lane_state(alone, 0)).items()}
+    run(alone, UPDATES)
+    for key, tensor in networks(lane_state(alone, 0)).items():
+        torch.testing.assert_close(tensor, moved[key], **CLOSE)
+    # The tolerance means something only where training has moved the weights much further.
+    assert max(float((moved[key] - fresh[key]).abs().max()) for key in fresh) > 0.05
+
+
+@every_algorithm
+def test_lanes_of_two_datasets_equal_each_alone(name: str) -> None:
+    stack = learner(name, [LOG, OTHER], [0, 0])
+    run(stack, UPDATES)
+    for lane, log in enumerate((LOG, OTHER)):
+        alone = learner(name, [log], [0])
+        run(alone, UPDATES)
+        for key, tensor in networks(lane_state(alone, 0)).items():
+            torch.testing.assert_close(tensor, networks(lane_state(stack, lane))[key], **CLOSE)
+
+
+@every_algorithm
+def test_equal_seeds_give_equal_numbers_and_others_do_not(name: str) -> None:
+    stacks = [learner(name, [LOG] * 2, seeds) for seeds in ([0, 1], [0, 1], [0, 2])]
+    for made in stacks:
+        run(made, 20)
+    first, again, other = ([lane_state(made, lane) for lane in (0, 1)] for made in stacks)
+    for lane in (0, 1):
+        for key, tensor in first[lane].items():
+            assert torch.equal(tensor, again[lane][key])
+    different = [k for k, v in networks(first[1]).items() if not torch.equal(v, other[1][k])]
+    assert len(different) == len(networks(first[1]))

@@ -1,0 +1,185 @@
+"""Evaluation in the real system, against direct simulation and by hand."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from components.data.normaliser import Normaliser
+from components.environments import INDUSTRIAL_BENCHMARK_ID
+from components.environments.batch import make_batch
+from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
+from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.policy import LAMBDA_SCALE, Policy
+from tests.components.synthetic import CPU, constant_policy, policy_card
+
+SMALL = EvaluationConfig(trajectories=3, horizon=12, discount=0.9, lambda_step=0.25)
+SETPOINT = {"setpoint": 70.0}
+
+
+def stack(parts: Sequence[Policy]) -> Policy:
+    return Policy.concatenate(parts[0].card, parts)
+
+
+def lambda_policy() -> Policy:
+    """Acts with tanh of the standardised lambda in its first entry, whatever it sees."""
+    weight = torch.zeros(1, 19, 3)
+    weight[0, 18, 0] = 1.0
+    scaling = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
+    return Policy(policy_card(takes_lambda=True), ((weight, torch.zeros(1, 1, 3)),), scaling)
+
+
+def network_policy(key: int, snapshots: int = 2) -> Policy:
+    generators = [lane_generator(lane_key(key, n)) for n in range(snapshots)]
+    scaling = Normaliser(torch.full((snapshots, 6), 50.0), torch.full((snapshots, 6), 30.0))
+    return Policy.of_network(policy_card(), StackedMLP(generators, (18, 16, 3)), scaling)
+
+
+def evaluate(
+    policies: Sequence[Policy],
+    keys: Sequence[int],
+    config: EvaluationConfig = SMALL,
+    **options: Any,
+) -> list[PolicyReturns]:
+    behaviours = [constant_policy([0.0, 0.0, 0.0])] * len(policies)
+    return evaluate_policies(
+        policies, behaviours, INDUSTRIAL_BENCHMARK_ID, SETPOINT, config, keys, CPU, **options
+    )
+
+
+def simulate(actions: np.ndarray, key: int, horizon: int, discount: float) -> np.ndarray:
+    """Discounted returns ``[N]`` of constant actions ``[N, 3]``, straight from the environment."""
+    machine = make_batch(INDUSTRIAL_BENCHMARK_ID, len(actions), **SETPOINT)
+    machine.reset(lane_generator(key))
+    total = np.zeros(len(actions))
+    for t in range(horizon):
+        _, rewards = machine.step(actions)
+        total += discount**t * rewards
+    return total
+
+
+def test_constant_policies_earn_what_a_direct_simulation_earns() -> None:
+    choices = [[0.5, -0.25, 0.0], [-0.9, 0.9, 0.1]]
+    [result] = evaluate([stack([constant_policy(c) for c in choices])], [7])
+    assert result.returns.shape == (2, 1, 3)
+    assert np.isnan(result.lambdas).tolist() == [True]
+    expected = simulate(np.repeat(choices, 3, axis=0), 7, 12, 0.9).reshape(2, 1, 3)
+    # float32 atanh and tanh of the actions
+    np.testing.assert_allclose(result.returns, expected, rtol=1e-5)
+    assert len(np.unique(result.returns)) == 6, "every trajectory has its own noise"
+
+
+def test_horizon_and_discount() -> None:
+    config = EvaluationConfig(trajectories=2, horizon=5, discount=1.0)
+    [result] = evaluate([constant_policy([0.1, 0.2, 0.3])], [3], config)
+    expected = simulate(np.tile([0.1, 0.2, 0.3], (2, 1)), 3, 5, 1.0)
+    np.testing.assert_allclose(result.returns[0, 0], expected, rtol=1e-5)
+
+
+def test_lambda_reaches_the_policy() -> None:
+    [result] = evaluate([lambda_policy()], [5])
+    grid = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    np.testing.assert_array_equal(result.lambdas, grid)
+    assert result.returns.shape == (1, 5, 3)
+    first = np.tanh((grid - 0.5) / LAMBDA_SCALE)
+    actions = np.stack([first, np.zeros(5), np.zeros(5)], axis=1)
+    expected = simulate(np.repeat(actions, 3, axis=0), 5, 12, 0.9).reshape(1, 5, 3)
+    np.testing.assert_allclose(result.returns, expected, rtol=1e-5)
+    # The behaviour policy stands still: the distance is the first entry's size.
+    np.testing.assert_allclose(result.distances, np.abs(first)[None], rtol=1e-5, atol=1e-7)
+
+
+def test_distance_is_euclidean() -> None:
+    policy, behaviour = constant_policy([0.5, 0.0, -0.5]), constant_policy([0.2, -0.4, -0.5])
+    [result] = evaluate_policies(
+        [policy], [behaviour], INDUSTRIAL_BENCHMARK_ID, SETPOINT, SMALL, [1], CPU
+    )
+    assert result.distances.shape == (1, 1)
+    assert result.distances[0, 0] == pytest.approx(0.5, rel=1e-5)  # a 3-4-5 triangle
+
+
+def test_each_stack_is_measured_against_its_own_behaviour_policy() -> None:
+    still, moving = constant_policy([0.0, 0.0, 0.0]), constant_policy([0.3, 0.0, 0.0])
+    results = evaluate_policies(
+        [still, still], [still, moving], INDUSTRIAL_BENCHMARK_ID, SETPOINT, SMALL, [1, 1], CPU
+    )
+    distances = [float(r.distances[0, 0]) for r in results]
+    assert distances == pytest.approx([0.0, 0.3], rel=1e-5)
+
+
+def test_numbers_do_not_depend_on_what_is_evaluated_beside() -> None:
+    policies, keys = [network_policy(key) for key in (1, 2, 3)], [11, 12, 13]
+    together = evaluate(policies, keys)
+    for policy, key, expected in zip(policies, keys, together, strict=True):
+        [alone] = evaluate([policy], [key])
+        # actions in float32 may sum in another order; the machine is smooth over twelve steps
+        np.testing.assert_allclose(alone.returns, expected.returns, rtol=1e-4)
+        np.testing.assert_allclose(alone.distances, expected.distances, rtol=1e-4)
+    again = evaluate(policies, keys)
+    for one, other in zip(together, again, strict=True):
+        np.testing.assert_array_equal(one.returns, other.returns)
+    [other_stream] = evaluate(policies[:1], [99])
+    assert not np.array_equal(other_stream.returns, together[0].returns)
+
+
+def test_a_policy_sees_its_own_history() -> None:
+    # The action is the newest velocity's change over two frames, scaled: 0 at first.
+    weight = torch.zeros(1, 18, 3)
+    weight[0, 1, 0], weight[0, 13, 0] = 1.0, -1.0
+    policy = Policy(
+        policy_card(),
+        ((weight, torch.full((1, 1, 3), 0.4)),),
+        Normaliser(torch.zeros(1, 6), torch.full((1, 6), 10.0)),
+    )
+    [result] = evaluate([policy], [2])
+    machine = make_batch(INDUSTRIAL_BENCHMARK_ID, 3, **SETPOINT)
+    frames = [machine.reset(lane_generator(2))] * 3
+    total = np.zeros(3)
+    for t in range(12):
+        actions = np.full((3, 3), np.tanh(0.4))
+        actions[:, 0] = np.tanh(0.4 + (frames[0][:, 1] - frames[2][:, 1]) / 10.0)
+        new, rewards = machine.step(actions)
+        frames = [new, *frames[:2]]
+        total += 0.9**t * rewards
+    np.testing.assert_allclose(result.returns[0, 0], total, rtol=1e-4)  # float32 actions
+
+
+def test_progress_counts_steps() -> None:
+    told: list[float] = []
+    evaluate([constant_policy([0.0, 0.0, 0.0])], [0], progress=told.append)
+    assert len(told) == 12
+    assert told[-1] == 1.0
+
+
+def test_grid_of_lambda() -> None:
+    grid = EvaluationConfig().lambdas
+    assert len(grid) == 21
+    assert grid[:3] == (0.0, 0.05, 0.1)
+    assert grid[-1] == 1.0
+    assert EvaluationConfig(lambda_step=1.0).lambdas == (0.0, 1.0)
+    assert len(EvaluationConfig(lambda_step=1 / 3).lambdas) == 4
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"trajectories": 0},
+        {"horizon": 0},
+        {"discount": 0.0},
+        {"discount": 1.01},
+        {"lambda_step": 0.0},
+        {"lambda_step": 0.3},
+        {"lambda_step": 1.5},
+    ],
+)
+def test_protocols_out_of_range_are_refused(fields: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(fields))):
+        EvaluationConfig(**fields)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.02, 0.04, 0.05, 0.1, 0.125, 0.2, 0.25, 0.5, 1.0, 1 / 93])
+def test_every_step_that_divides_one_is_accepted(step: float) -> None:
+    grid = EvaluationConfig(lambda_step=step).lambdas
+    assert len(grid) == round(1 / step) + 1

@@ -1,0 +1,53 @@
+"""The figure over lambda: what is drawn, and where."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from components.reporting.figures import proximity_figure, save_figure
+from tests.components.reporting.summaries import LION, TD3_BC, point
+
+
+def test_adaptive_policies_are_curves_and_the_others_dashed_lines(tmp_path: Path) -> None:
+    figure = proximity_figure("mediocre-0.2", [TD3_BC, LION], -76.5)
+    assert figure is not None
+    upper, lower = figure.axes
+    assert upper.get_title() == "mediocre-0.2"
+    curve, dashed, dotted = upper.get_lines()
+    assert curve.get_xdata().tolist() == [0.0, 0.5, 1.0]
+    assert curve.get_ydata().tolist() == [-90.0, -70.0, -80.0]
+    assert (dashed.get_linestyle(), dotted.get_linestyle()) == ("--", ":")
+    assert set(dashed.get_ydata()) == {-77.0}
+    assert set(dotted.get_ydata()) == {-76.5}
+    texts = [text.get_text() for text in upper.get_legend().get_texts()]
+    assert texts == ["lion (mean ± sd of seeds)", "td3_bc", "logged behaviour"]
+    assert "return" in upper.get_ylabel()
+    assert "λ" in lower.get_xlabel()
+    assert "distance" in lower.get_ylabel()
+    assert lower.get_lines()[0].get_ydata().tolist() == [0.0, 0.25, 0.5]
+    assert lower.get_xlim() == (0.0, 1.0)
+    assert len({line.get_color() for line in upper.get_lines()}) == 3
+    save_figure(figure, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_band_is_the_spread_of_seeds() -> None:
+    figure = proximity_figure("toy", [LION], -76.5)
+    assert figure is not None
+    [band] = figure.axes[0].collections
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == (-92.0, -68.0)
+
+
+def test_nothing_to_draw_without_adaptive_policies() -> None:
+    assert proximity_figure("mediocre-0.2", [TD3_BC], -76.5) is None
+    assert proximity_figure("mediocre-0.2", [], -76.5) is None
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+def test_a_curve_with_gaps_is_still_drawn(value: float, tmp_path: Path) -> None:
+    broken = LION | {"points": [point(0.0), point(1.0) | {"mean": value}]}
+    figure = proximity_figure("toy", [broken], -76.5)
+    assert figure is not None
+    save_figure(figure, tmp_path / "figure.png")
