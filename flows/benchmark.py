@@ -8,7 +8,7 @@ from typing import Any
 from components.algorithms import ALGORITHMS
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from flows.pipeline.plan import Node, Plan
-from flows.settings import Settings
+from flows.settings import Settings, SettingsError
 
 __all__ = ["COMPONENTS", "benchmark_plan", "data_plan", "sweep_name"]
 
@@ -150,7 +150,18 @@ def data_plan(settings: Settings) -> Plan:
 
 
 def benchmark_plan(settings: Settings) -> Plan:
-    """The whole grid: datasets x algorithms x seeds, with all they need."""
+    """The whole grid: datasets x algorithms x seeds, with all they need.
+
+    Raises:
+        SettingsError: If the trajectories are too short for the models.
+    """
+    model = settings.model["recurrent_ensemble"]
+    if settings.data.steps < model.warm_up + model.horizon:
+        raise SettingsError(
+            f"data.steps={settings.data.steps} is less than warm_up + horizon = "
+            f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
+            "lower the others."
+        )
     nodes = []
     for dataset in settings.datasets:
         inputs = {"dataset": _data_node(settings, dataset)}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
+from rich.console import Console
 
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors import Executor, RayExecutor, SerialExecutor
@@ -35,6 +36,9 @@ def main(door: str, help_text: str, body: Callable[[Settings], int]) -> None:
         sys.exit(2)
     try:
         code = body(settings)
+    except SettingsError as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        code = 2
     except (PipelineError, OSError, ValueError) as error:
         print(f"{door}: {error}", file=sys.stderr)
         code = 1
@@ -70,7 +74,8 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         The exit code.
     """
     store = ArtifactStore(settings.store, create=not settings.dry_run)
-    display = Display()
+    # What a dry run prints is its result.
+    display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = _executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
     display.show_plan(plan, store, executor.slots)

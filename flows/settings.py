@@ -57,7 +57,7 @@ class EvaluationSettings(_Strict):
 
     trajectories: int = Field(ge=1)
     horizon: int = Field(ge=1)
-    lambda_step: float = Field(gt=0, le=1)
+    lambda_step: float = Field(ge=0.01, le=1)
 
 
 class AggregationSettings(_Strict):

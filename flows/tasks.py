@@ -23,11 +23,8 @@ from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.evaluation.real import EvaluationConfig, evaluate_policies
 from components.models.behaviour_policy import BehaviourPolicyConfig, fit_behaviour_policies
-from components.models.recurrent_ensemble import (
-    RecurrentEnsemble,
-    RecurrentEnsembleConfig,
-    fit_recurrent_ensemble,
-)
+from components.models.recurrent_ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
+from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.networks.policy import Policy
 from components.networks.streams import lane_key
 from components.networks.training import Curves

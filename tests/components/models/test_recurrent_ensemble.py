@@ -10,13 +10,13 @@ from torch import Tensor
 
 from components.data.catalogue import DATASETS, generate
 from components.data.normaliser import Normaliser
-from components.models import recurrent_ensemble
+from components.models import recurrent_fit
 from components.models.recurrent_ensemble import (
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
-    fit_recurrent_ensemble,
     predict_windows,
 )
+from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.models.rollout import MachineRule, VirtualMachine
 from components.networks import lane_key
 from components.networks.checkpoint import save_tensors
@@ -73,7 +73,7 @@ def test_recorded_values_are_read_up_to_the_first_predicted_step() -> None:
 
 
 def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> None:
-    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    windows = recurrent_fit._Windows(LOG, TINY, CPU)
     start = torch.tensor([[0], [1], [44], [20]])  # one frame row per network
     inputs, targets = windows.gather(start)
     assert inputs.shape == (13, 4, 5, 1)
@@ -90,7 +90,7 @@ def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> 
 
 
 def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
-    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
+    windows = recurrent_fit._Windows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
     starts = [41 * e + np.arange(40 - 13 + 1) for e in range(6)]
     assert windows.train.tolist() == np.concatenate(starts[:4]).tolist()
     assert windows.held_out.tolist() == np.concatenate(starts[4:]).tolist()
@@ -135,7 +135,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         ensemble.low - 99.0,
         ensemble.high + 99.0,
     )
-    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    windows = recurrent_fit._Windows(LOG, TINY, CPU)
     start = windows.held_out[:7]
     inputs, _ = windows.gather(start.expand(4, -1))
     expected = predict_windows(alone.weight, alone.readout, inputs[:, ::2], TINY)
@@ -160,7 +160,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
 
 def test_reported_loss_belongs_to_the_best_state() -> None:
     ensemble, metrics, curves = fit_recurrent_ensemble(LOG, TINY, lane_key("best"), CPU)
-    windows = recurrent_ensemble._Windows(LOG, TINY, CPU)
+    windows = recurrent_fit._Windows(LOG, TINY, CPU)
     inputs, targets = windows.gather(windows.held_out.expand(4, -1))
     predicted = by_loop(ensemble.weight, ensemble.readout, inputs, TINY.warm_up)
     losses = (predicted - targets).square().mean(dim=(0, 2)).tolist()
@@ -224,13 +224,13 @@ def test_logs_that_do_not_fit_are_refused() -> None:
 def test_interrupted_equals_uninterrupted(
     deaths: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    save_always(monkeypatch, recurrent_ensemble)
+    save_always(monkeypatch, recurrent_fit)
 
     def fit(checkpoint: Path | None) -> tuple:
         return fit_recurrent_ensemble(LOG, TINY, lane_key("resume"), CPU, checkpoint)
 
     expected = fit(None)
-    found = killed_at(deaths, recurrent_ensemble._EnsembleLearner, fit, tmp_path / "c", monkeypatch)
+    found = killed_at(deaths, recurrent_fit._EnsembleLearner, fit, tmp_path / "c", monkeypatch)
     assert torch.equal(found[0].weight, expected[0].weight)
     assert torch.equal(found[0].readout, expected[0].readout)
     assert found[1] == expected[1]
@@ -244,14 +244,14 @@ def test_what_was_best_survives_an_interruption(
     config = dataclasses.replace(
         TINY, updates=5000, learning_rate=3.0, validate_every=4, patience=8
     )
-    save_always(monkeypatch, recurrent_ensemble)
+    save_always(monkeypatch, recurrent_fit)
 
     def fit(checkpoint: Path | None) -> tuple:
         return fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU, checkpoint)
 
     expected = fit(None)
     steps, _ = expected[2].of_lane(0)["model/validation_mse"]
-    learner = recurrent_ensemble._EnsembleLearner
+    learner = recurrent_fit._EnsembleLearner
     found = killed_at([steps[-1] - 1], learner, fit, tmp_path / "c", monkeypatch)
     assert torch.equal(found[0].weight, expected[0].weight)
     assert found[1] == expected[1]
