@@ -14,10 +14,13 @@ from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
 from tests.flows.pipeline.toys import count, diamond
 
+HOLD = 12  # the step at which the counters wait to be told to go on
+
 
 def main(home: Path, log: Path) -> int:
     """Runs the diamond on two processors."""
-    store, plan, ledger = ArtifactStore(home), Plan(diamond(log, pause=0.2)), MlflowLedger(home)
+    plan = Plan(diamond(log, pause=0.2, hold=HOLD))
+    store, ledger = ArtifactStore(home), MlflowLedger(home)
     ledger.open_sweep("killed", plan=plan)
     count(str(log), "drivers")
     outcome = run_plan(plan, store, ledger, Display(), executor=RayExecutor(cpus=2))

@@ -168,8 +168,11 @@ def node(
     )
 
 
-def diamond(log: Path, pause: float = 0.05) -> list[Node]:
-    """Two numbers, two groups of three counters on them, one sum."""
+def diamond(log: Path, pause: float = 0.05, hold: int = -1) -> list[Node]:
+    """Two numbers, two groups of three counters on them, one sum.
+
+    With `hold` the counters wait at that step for the file `go`, see `steps`.
+    """
     numbers = [
         node("number", f"n{i}", log, component="data", number=i + 1, cost=0.1) for i in range(2)
     ]
@@ -184,6 +187,7 @@ def diamond(log: Path, pause: float = 0.05) -> list[Node]:
             number=lane + 1,
             steps=20,
             pause=pause,
+            hold=hold,
         )
         for i, source in enumerate(numbers)
         for lane in range(3)
