@@ -77,6 +77,9 @@ def start_driver(home: Path, log: Path) -> subprocess.Popen[str]:
         text=True,
         env=os.environ | {"RAY_ADDRESS": ""},
         start_new_session=True,
+        # As a terminal starts it: a shell's background jobs, such as a test run in CI may be,
+        # inherit an ignored SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
