@@ -14,7 +14,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -264,10 +264,6 @@ class OfflineDataset:
         dataset = cls(card=card, **arrays)
         _check_shapes(dataset, folder)
         return dataset
-
-    def summary(self) -> dict[str, Any]:
-        """The card as a plain dictionary, for logs and tables."""
-        return asdict(self.card)
 
 
 def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:

@@ -10,7 +10,7 @@ window stream and its own best held-out state.
 Deviations from the thesis (its learning rate 1.25e-5 cannot train these networks, and it names a
 delta target; the published checkpoints agree with what is done here): Adam with a one-cycle
 learning rate instead of a plateau schedule, which reaches the same error in a fraction of the
-updates, and smaller batches.
+updates; smaller batches; no weight decay; gradients limited in norm, network by network.
 """
 
 import math
