@@ -76,7 +76,7 @@ def _behaviour(dataset: OfflineDataset) -> Policy:
     sizes = (dataset.card.history * dataset.frames.shape[1], 20, dataset.actions.shape[1])
     network = StackedMLP(spawn_generators([0], "behaviour"), sizes)
     scaling = Normaliser.stack([Normaliser.fit(dataset.frames)])
-    return Policy.of_network(card, network, scaling).lane(0, card)
+    return Policy.of_networks(card, {"actor": network.affine()}, scaling).lane(0, card)
 
 
 def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:

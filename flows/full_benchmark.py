@@ -7,7 +7,12 @@ from typing import Any
 
 from components.data.dataset import DatasetCard
 from components.reporting.figures import proximity_figure, save_figure
-from components.reporting.tables import markdown_table, result_rows, results_csv
+from components.reporting.tables import (
+    ended_notes,
+    markdown_table,
+    result_rows,
+    results_csv,
+)
 from flows.benchmark import benchmark_plan, sweep_name
 from flows.pipeline.files import write_text
 from flows.pipeline.plan import Plan
@@ -57,7 +62,8 @@ def write_report(
     rows = result_rows(summaries)
     table, text = folder / "results.csv", folder / "results.md"
     write_text(table, results_csv(rows))
-    write_text(text, markdown_table(rows))
+    notes = "".join(f"\n- {note}" for note in ended_notes(summaries))
+    write_text(text, markdown_table(rows) + (f"{notes}\n" if notes else ""))
     files = [table, text]
     for node in done:
         if node.component != "data_generation":
@@ -95,6 +101,8 @@ def _run(settings: Settings) -> int:
         files, rows, summaries = write_report(folder, plan, ArtifactStore(settings.store))
         if rows:
             print(markdown_table(rows), end="")
+            for note in ended_notes(summaries):
+                print(f"Note: {note}")
             print(f"\nTable and figures: {folder}/")
         return files, _headline(summaries)
 

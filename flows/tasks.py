@@ -199,6 +199,7 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
         updates=config.updates,
         snapshots=jobs[0].config["snapshots"],
         takes_lambda=module.TAKES_LAMBDA,
+        preparation=getattr(config, "preparation", 0),
         work=context.work,
         progress=context.progress,
     )
@@ -206,6 +207,8 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
         _write_curves(job.out / "curves.npz", curves.of_lane(lane))
+        if policy.card.ended_at is not None:
+            _write_json(job.out / "metrics.json", {"training/ended_at": policy.card.ended_at})
         _note_dataset(job, datasets[lane])
 
 
@@ -232,6 +235,7 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
                 returns=result.returns,
                 distances=result.distances,
                 steps=np.asarray(policy.card.steps),
+                ended_at=np.asarray([] if policy.card.ended_at is None else [policy.card.ended_at]),
             )
         means = result.returns.mean(axis=-1)  # [S, lambdas]
         curves = {}
@@ -273,10 +277,16 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
                     "distance": float(distances[column]),
                 }
             )
+        ended = {
+            str(n): int(s["ended_at"][0])
+            for n, s in zip(seeds, stored, strict=True)
+            if s["ended_at"].size
+        }
         summary = {
             "dataset": job.config["dataset"],
             "algorithm": job.config["algorithm"],
             "seeds": seeds,
+            "ended_at": ended,  # seeds whose loss became infinite or undefined, and when
             "points": points,
         }
         _write_json(job.out / "summary.json", summary)

@@ -10,8 +10,32 @@ from collections.abc import Mapping
 from types import MappingProxyType, ModuleType
 from typing import Final
 
-from components.algorithms import lion, td3_bc
+from components.algorithms import (
+    bc,
+    bcq,
+    bear,
+    brac,
+    cql,
+    ddpg,
+    lambda_td3_bc,
+    lion,
+    rvs,
+    td3_bc,
+)
 
 __all__ = ["ALGORITHMS"]
 
-ALGORITHMS: Final[Mapping[str, ModuleType]] = MappingProxyType({"lion": lion, "td3_bc": td3_bc})
+ALGORITHMS: Final[Mapping[str, ModuleType]] = MappingProxyType(
+    {
+        "bc": bc,
+        "ddpg": ddpg,
+        "bcq": bcq,
+        "bear": bear,
+        "brac": brac,
+        "cql": cql,
+        "td3_bc": td3_bc,
+        "lion": lion,
+        "lambda_td3_bc": lambda_td3_bc,
+        "rvs": rvs,
+    }
+)

@@ -1,20 +1,39 @@
 """What every algorithm is given, and the little they share."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor, nn
 
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.rollout import MachineRule
+from components.networks.checkpoint import (
+    load_optimizer_state,
+    module_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Learner
 
-__all__ = ["Ingredients", "PolicyLearner", "first_rows"]
+__all__ = [
+    "Ingredients",
+    "PolicyLearner",
+    "Scalars",
+    "StackedLearner",
+    "descend",
+    "first_rows",
+    "saturation",
+]
+
+SATURATED = 0.99
 
 
 @dataclass(frozen=True)
@@ -52,6 +71,56 @@ class PolicyLearner(Learner, Protocol):
 
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
+
+
+class StackedLearner:
+    """What all stacks share: named networks and optimisers, kept and put back as one state.
+
+    Subclasses fill the two mappings; targets and learned scalars are networks too.
+    """
+
+    _networks: Mapping[str, nn.Module]
+    _optimizers: Mapping[str, torch.optim.Optimizer]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All networks and optimisers, lane axis first in every tensor."""
+        state = module_state(self._networks)
+        for name, optimizer in self._optimizers.items():
+            state |= prefixed(f"{name}_optimizer", optimizer_state(optimizer))
+        return state
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned."""
+        for name, network in self._networks.items():
+            network.load_state_dict(with_prefix(name, state))
+        for name, optimizer in self._optimizers.items():
+            load_optimizer_state(optimizer, with_prefix(f"{name}_optimizer", state))
+
+
+class Scalars(nn.Module):
+    """One learned number per lane, such as a multiplier: ``value [L]``."""
+
+    def __init__(self, lanes: int, initial: float) -> None:
+        super().__init__()
+        self.value = nn.Parameter(torch.full((lanes,), initial))
+
+
+def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+    """Step ``optimizer`` down the gradient of ``loss [L]``, summed over lanes.
+
+    Only the optimiser's own parameters get a gradient: an actor's loss does not pay for the
+    gradients of the critic it goes through.
+    """
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    gradients = torch.autograd.grad(loss.sum(), parameters)
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient
+    optimizer.step()
+
+
+def saturation(actions: Tensor) -> Tensor:
+    """Share of action entries on a bound (beyond 0.99), ``[L]``."""
+    return (actions.detach().abs() > SATURATED).flatten(1).float().mean(dim=1)
 
 
 def first_rows(dataset: OfflineDataset, window: int) -> npt.NDArray[np.int64]:

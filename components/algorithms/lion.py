@@ -25,22 +25,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, first_rows
+from components.algorithms.base import Ingredients, StackedLearner, descend, first_rows
 from components.models.rollout import VirtualMachine
 from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
-from components.networks.checkpoint import (
-    load_optimizer_state,
-    module_state,
-    optimizer_state,
-    prefixed,
-    with_prefix,
-)
-from components.networks.policy import Policy, PolicyCard, standardise_lambda
+from components.networks.policy import LAMBDA_SCALING, Policy, PolicyCard
 from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
-VERSION = 1
+VERSION = 2
 NEEDS = ("behaviour_policy", "recurrent_ensemble")
 TAKES_LAMBDA = True
 FRAME_EPSILON = 0.0
@@ -77,7 +70,7 @@ class Config:
             raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
 
 
-class Learner:
+class Learner(StackedLearner):
     """A stack of LION policies, one lane per (dataset, seed)."""
 
     def __init__(self, config: Config, parts: Ingredients) -> None:
@@ -94,6 +87,9 @@ class Learner:
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
         self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
+        self._networks = {"policy": self._network}
+        self._optimizers = {"policy": self._optimizer}
+        self._steering = LAMBDA_SCALING.to(device)
         starts = [first_rows(dataset, config.start_window) for dataset in data.datasets]
         self._streams = LaneStreams(parts.keys, self._draws(starts, data.counts), device)
         self._discounts = config.discount ** torch.arange(config.horizon, device=device)
@@ -112,7 +108,7 @@ class Learner:
 
     def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
-        steered = standardise_lambda(proximity)[..., None]
+        steered = self._steering.apply(proximity[..., None])
         return torch.tanh(self._network(torch.cat([observations, steered], dim=-1)))
 
     def _behaviour_act(self, observations: Tensor) -> Tensor:
@@ -158,9 +154,7 @@ class Learner:
         cloning = self._cloning_loss(drawn["clone"])
         mixed = -proximity * returns + (1.0 - proximity) * penalty
         loss = lanewise_mean(mixed) + self._config.eta * cloning
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.sum().backward()
-        self._optimizer.step()
+        descend(self._optimizer, loss)
         return {
             "policy/loss": loss.detach(),
             "policy/virtual_return": lanewise_mean((returns * self._reward_scale).detach()),
@@ -168,19 +162,8 @@ class Learner:
             "policy/cloning_loss": cloning.detach(),
         }
 
-    # -- what is deployed and what is kept ----------------------------------------------------
+    # -- what is deployed ------------------------------------------------------------------------
 
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
-        return Policy.of_network(card, self._network, self._data.frame_scaling)
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Networks and optimiser, lane axis first."""
-        return module_state({"policy": self._network}) | prefixed(
-            "optimizer", optimizer_state(self._optimizer)
-        )
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
-        self._network.load_state_dict(with_prefix("policy", state))
-        load_optimizer_state(self._optimizer, with_prefix("optimizer", state))
+        return Policy.of_networks(card, {"actor": self._network.affine()}, self._data.frame_scaling)

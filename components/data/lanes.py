@@ -5,10 +5,11 @@ history of H frames is a gather over the narrow frame table, newest frame first,
 of stacked histories never exists.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -98,6 +99,10 @@ class LaneData:
     def observation_width(self) -> int:
         """Width O of a stacked history."""
         return int(self.history * self.frame_width)
+
+    def row_draw(self, batch: int) -> Callable[..., npt.NDArray[np.int64]]:
+        """Drawing rule of uniform transitions, for a stream of batches ``[L, batch]``."""
+        return lambda g, lane, steps: g.integers(self.counts[lane], size=(steps, batch))
 
     def batch(self, index: Tensor) -> Batch:
         """Gather transitions ``index [L, B]``, counted within each lane's dataset."""

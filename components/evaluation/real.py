@@ -18,7 +18,7 @@ from torch import Tensor
 from components.environments.batch import make_batch
 from components.environments.frame_history import FrameHistory
 from components.networks.policy import Policy
-from components.networks.streams import lane_generator
+from components.networks.streams import lane_generator, lane_key
 
 __all__ = ["EvaluationConfig", "PolicyReturns", "evaluate_policies"]
 
@@ -108,11 +108,17 @@ def evaluate_policies(
         for machine, key in zip(machines, keys, strict=True)
     ]
     shape = (len(policies), snapshots * per_policy)
+    noises = [lane_generator(lane_key(key, "candidates")) for key in keys]
+    drawn = (snapshots, per_policy, actors.card.candidates, actors.card.noise)
     returns, distance = np.zeros(shape), np.zeros(shape)
     for t in range(config.horizon):
         windows = torch.from_numpy(np.stack([h.window for h in histories])).float().to(device)
         seen = windows.view(actors.lanes, per_policy, *windows.shape[2:])
-        actions = actors.act(seen, steering).view(*shape, -1)
+        noise = None
+        if actors.card.candidates:
+            fresh = [generator.standard_normal(drawn, np.float32) for generator in noises]
+            noise = torch.from_numpy(np.concatenate(fresh)).to(device)
+        actions = actors.act(seen, steering, noise).view(*shape, -1)
         away: Tensor = torch.linalg.vector_norm(actions - clones.act(windows), dim=-1)
         distance += away.cpu().numpy()
         chosen = actions.cpu().numpy().astype(np.float64)

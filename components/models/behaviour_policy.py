@@ -168,7 +168,7 @@ def fit_behaviour_policies(
             takes_lambda=False,
             steps=(updates,),
         )
-        whole = Policy.of_network(card, learner.best, data.frame_scaling)
+        whole = Policy.of_networks(card, {"actor": learner.best.affine()}, data.frame_scaling)
         policies.append(whole.lane(lane, card))
     metrics = [{"validation_mse": float(loss)} for loss in learner.best_loss]
     return policies, metrics, curves

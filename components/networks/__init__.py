@@ -1,5 +1,7 @@
 """Stacked layers and random streams: the building blocks of every learner."""
 
+from components.networks.critics import Critics, soft_clipped_maximum
+from components.networks.gaussian import TanhGaussian
 from components.networks.stacked import (
     StackedLinear,
     StackedMLP,
@@ -12,18 +14,23 @@ from components.networks.streams import (
     LaneStreams,
     lane_generator,
     lane_key,
+    normal_draw,
     spawn_generators,
 )
 
 __all__ = [
+    "Critics",
     "Draw",
     "LaneStreams",
     "StackedLinear",
     "StackedMLP",
+    "TanhGaussian",
     "lane_generator",
     "lane_key",
     "lanewise_mean",
+    "normal_draw",
     "polyak_update",
     "select_lanes",
+    "soft_clipped_maximum",
     "spawn_generators",
 ]

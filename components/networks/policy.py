@@ -1,14 +1,18 @@
-"""Deployable policies: stacks of deterministic networks with all they need to act on raw frames.
+"""Deployable policies: stacks of networks with all they need to act on raw frames.
 
-An artifact is a folder of two files: ``policy.json`` (what the policy is: history rule, features,
-whether it takes lambda, snapshot steps, format) and ``weights.safetensors`` (numbers, the
-normaliser among them). Nothing in it is ever unpickled. The lane axis of a stored policy counts the
-snapshots of one training run.
+An artifact is a folder of two files: ``policy.json`` (what the policy is: how it acts, history
+rule, features, whether it takes lambda, snapshot steps, format) and ``weights.safetensors``
+(numbers, the normaliser among them). Nothing in it is ever unpickled. The lane axis of a stored
+policy counts the snapshots of one training run.
+
+How a policy acts is named on its card, see :mod:`components.networks.deployment`. Most are
+deterministic networks. BCQ and BEAR choose, by a critic, among candidates drawn at every state; the
+caller supplies the normal noise, so that a policy's deeds depend on its own random stream alone.
 """
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,18 +22,13 @@ from torch import Tensor
 
 from components.data.normaliser import Normaliser
 from components.networks.checkpoint import load_tensors, save_tensors
-from components.networks.stacked import StackedMLP
+from components.networks.deployment import KINDS, Layers
 
-__all__ = ["LAMBDA_MEAN", "LAMBDA_SCALE", "Policy", "PolicyCard", "standardise_lambda"]
+__all__ = ["LAMBDA_SCALING", "Policy", "PolicyCard"]
 
-FORMAT = "policy/1"
-LAMBDA_MEAN = 0.5  # moments of a uniform lambda, as the reference implementation scales its input
-LAMBDA_SCALE = 0.2887
-
-
-def standardise_lambda(proximity: Tensor) -> Tensor:
-    """Scale lambda in [0, 1] to the range the networks are fed."""
-    return (proximity - LAMBDA_MEAN) / LAMBDA_SCALE
+FORMAT = "policy/2"
+LAMBDA_SCALING = Normaliser(torch.tensor([0.5]), torch.tensor([0.2887]))
+"""Moments of a uniform lambda, as LION's reference implementation scales its input."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +43,12 @@ class PolicyCard:
         actions: Width of the action, every entry in [-1, 1].
         takes_lambda: Whether the proximity parameter is an input.
         steps: Training step of every stored snapshot, one per lane.
+        kind: How it acts, a name in :data:`~components.networks.deployment.KINDS`.
+        candidates: N, actions drawn per state; 0 if the policy is deterministic.
+        noise: Width of the normal noise behind a candidate.
+        perturbation: Largest change BCQ's actor may make to a generated action.
+        ended_at: Update by which a loss had become infinite or undefined and learning ended; the
+            snapshots after it repeat the last finite one. None: it went through.
     """
 
     algorithm: str
@@ -53,6 +58,11 @@ class PolicyCard:
     actions: int
     takes_lambda: bool
     steps: tuple[int, ...]
+    kind: str = "tanh"
+    candidates: int = 0
+    noise: int = 0
+    perturbation: float = 0.0
+    ended_at: int | None = None
 
     @classmethod
     def load(cls, path: Path) -> "PolicyCard":
@@ -71,96 +81,121 @@ class PolicyCard:
                 values[name] = tuple(values[name])
             if found != FORMAT:
                 raise ValueError(f"its format is {found!r} and this version reads {FORMAT!r}")
-            return cls(**values)
+            card = cls(**values)
+            if card.kind not in KINDS:
+                raise ValueError(f"it acts by {card.kind!r}, known are {', '.join(KINDS)}")
+            return card
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} cannot be used ({error}); train the policy again.") from error
 
 
 @dataclass(frozen=True)
 class Policy:
-    """P deterministic policies ``a = tanh(MLP(normalised history, lambda))`` side by side.
+    """P policies side by side.
 
     Attributes:
         card: What they are.
-        layers: Weights ``[P, in, out]`` and biases ``[P, 1, out]`` from input to output; ReLU
-            between layers.
+        networks: By role; ``actor`` is always there.
         frames: Scaling of a frame's features, ``[P, F]``.
+        steering: Scaling of lambda ``[P, 1]`` before it enters the actor; not used without lambda.
     """
 
     card: PolicyCard
-    layers: tuple[tuple[Tensor, Tensor], ...]
+    networks: Mapping[str, Layers]
     frames: Normaliser
+    steering: Normaliser
 
     @classmethod
-    def of_network(cls, card: PolicyCard, network: StackedMLP, frames: Normaliser) -> "Policy":
-        """Copy a trained stack, one policy per lane."""
-        layers = tuple(
-            (weight.detach().cpu().clone(), bias.detach().cpu().clone())
-            for weight, bias in network.affine()
+    def of_networks(
+        cls,
+        card: PolicyCard,
+        networks: Mapping[str, Sequence[tuple[Tensor, Tensor]]],
+        frames: Normaliser,
+        steering: Normaliser = LAMBDA_SCALING,
+    ) -> "Policy":
+        """Copy trained stacks, one policy per lane."""
+        copied = {
+            role: tuple((_copy(weight), _copy(bias)) for weight, bias in layers)
+            for role, layers in networks.items()
+        }
+        lanes = copied["actor"][0][0].shape[0]
+        scaling = Normaliser(_copy(frames.mean), _copy(frames.scale))
+        steered = Normaliser(
+            *(_copy(t).expand(lanes, 1).clone() for t in (steering.mean, steering.scale))
         )
-        scaling = Normaliser(frames.mean.cpu().clone(), frames.scale.cpu().clone())
-        return cls(card, layers, scaling)
+        return cls(card, copied, scaling, steered)
 
     @classmethod
     def concatenate(cls, card: PolicyCard, parts: Sequence["Policy"]) -> "Policy":
-        """Stack policies of equal shapes under one card."""
-        layers = tuple(
-            (torch.cat([w for w, _ in group]), torch.cat([b for _, b in group]))
-            for group in zip(*(p.layers for p in parts), strict=True)
-        )
-        mean = torch.cat([p.frames.mean for p in parts])
-        scale = torch.cat([p.frames.scale for p in parts])
-        return cls(card, layers, Normaliser(mean, scale))
+        """Stack policies of one kind and of equal shapes under one card."""
+        tensors = [part._tensors() for part in parts]
+        joined = {name: torch.cat([t[name] for t in tensors]) for name in tensors[0]}
+        return cls._of_tensors(card, joined)
 
     @property
     def lanes(self) -> int:
         """Number of policies P."""
         return int(self.layers[0][0].shape[0])
 
+    @property
+    def layers(self) -> Layers:
+        """The actor's."""
+        return self.networks["actor"]
+
+    @property
+    def finite(self) -> Tensor:
+        """Whether all numbers of a policy are, ``[P]``."""
+        flat = [t.flatten(1).isfinite().all(dim=1) for t in self._tensors().values()]
+        return torch.stack(flat).all(dim=0)
+
     def lane(self, number: int, card: PolicyCard) -> "Policy":
         """One policy of the stack, as a stack of one."""
-        keep = slice(number, number + 1)
-        layers = tuple((w[keep], b[keep]) for w, b in self.layers)
-        return Policy(card, layers, Normaliser(self.frames.mean[keep], self.frames.scale[keep]))
+        return self.select(slice(number, number + 1), card)
+
+    def select(self, lanes: slice, card: PolicyCard) -> "Policy":
+        """Some policies of the stack."""
+        return self._of_tensors(card, {n: t[lanes] for n, t in self._tensors().items()})
 
     def to(self, device: torch.device) -> "Policy":
         """The same on another device."""
-        layers = tuple((w.to(device), b.to(device)) for w, b in self.layers)
-        return Policy(self.card, layers, self.frames.to(device))
+        return self._of_tensors(self.card, {n: t.to(device) for n, t in self._tensors().items()})
 
     @torch.no_grad()
-    def act(self, histories: Tensor, proximity: Tensor | None = None) -> Tensor:
+    def act(
+        self, histories: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
         """Choose actions.
 
         Args:
             histories: ``[P, B, H, F]`` raw frames, newest first.
             proximity: ``[P, B]`` lambda in [0, 1]; needed exactly if the card says so.
+            noise: ``[P, B, candidates, noise]`` standard normal; needed exactly if the card
+                names candidates.
 
         Returns:
             ``[P, B, A]`` in [-1, 1].
 
         Raises:
-            ValueError: If lambda is missing or not wanted.
+            ValueError: If lambda or noise is missing or not wanted.
         """
-        if (proximity is not None) != self.card.takes_lambda:
-            wanted = "needs" if self.card.takes_lambda else "does not take"
-            raise ValueError(f"A policy of {self.card.algorithm} {wanted} lambda.")
+        for given, wanted, what in (
+            (proximity, self.card.takes_lambda, "lambda"),
+            (noise, self.card.candidates > 0, "noise"),
+        ):
+            if (given is not None) != wanted:
+                says = "needs" if wanted else "does not take"
+                raise ValueError(f"A policy of {self.card.algorithm} {says} {what}.")
         mean, scale = self.frames.mean[:, None, None], self.frames.scale[:, None, None]
         x = ((histories - mean) / scale).flatten(start_dim=2)
         if proximity is not None:
-            x = torch.cat([x, standardise_lambda(proximity)[..., None]], dim=-1)
-        for weight, bias in self.layers[:-1]:
-            x = torch.baddbmm(bias, x, weight).relu_()
-        weight, bias = self.layers[-1]
-        return torch.baddbmm(bias, x, weight).tanh_()
+            steered = (proximity - self.steering.mean) / self.steering.scale
+            x = torch.cat([x, steered[..., None]], dim=-1)
+        return KINDS[self.card.kind](self.networks, x, noise, self.card.perturbation)
 
     def save(self, folder: Path) -> None:
         """Write the artifact into an existing folder; ``policy.json`` appears last."""
-        tensors = {"frame_mean": self.frames.mean, "frame_scale": self.frames.scale}
-        for number, (weight, bias) in enumerate(self.layers):
-            tensors |= {f"layer{number}.weight": weight, f"layer{number}.bias": bias}
-        header = {"format": FORMAT, "layers": len(self.layers)}
-        save_tensors(folder / "weights.safetensors", tensors, header)
+        header = {"format": FORMAT, "networks": {r: len(n) for r, n in self.networks.items()}}
+        save_tensors(folder / "weights.safetensors", self._tensors(), header)
         temporary = folder / f".policy.json.{os.getpid()}.tmp"
         temporary.write_text(json.dumps({"format": FORMAT, **asdict(self.card)}, indent=2) + "\n")
         os.replace(temporary, folder / "policy.json")
@@ -176,13 +211,42 @@ class Policy:
         card = PolicyCard.load(folder / "policy.json")
         tensors, header = load_tensors(folder / "weights.safetensors")
         try:
-            layers = tuple(
-                (tensors[f"layer{n}.weight"], tensors[f"layer{n}.bias"])
-                for n in range(int(header["layers"]))
-            )
-            frames = Normaliser(tensors["frame_mean"], tensors["frame_scale"])
-        except KeyError as error:
+            for role, count in header["networks"].items():
+                for name in (f"{role}.{n}.{p}" for n in range(count) for p in ("weight", "bias")):
+                    tensors[name]
+            return cls._of_tensors(card, tensors)
+        except (KeyError, AttributeError, TypeError) as error:
             raise ValueError(
                 f"{folder / 'weights.safetensors'} lacks {error}; train the policy again."
             ) from error
-        return cls(card, layers, frames)
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Everything by name, lane axis first."""
+        tensors = {
+            "frames.mean": self.frames.mean,
+            "frames.scale": self.frames.scale,
+            "steering.mean": self.steering.mean,
+            "steering.scale": self.steering.scale,
+        }
+        for role, layers in self.networks.items():
+            for number, (weight, bias) in enumerate(layers):
+                tensors[f"{role}.{number}.weight"] = weight
+                tensors[f"{role}.{number}.bias"] = bias
+        return tensors
+
+    @classmethod
+    def _of_tensors(cls, card: PolicyCard, tensors: Mapping[str, Tensor]) -> "Policy":
+        networks: dict[str, Layers] = {}
+        numbered = [name.split(".") for name in tensors if name.endswith(".weight")]
+        for role, number in sorted((role, int(number)) for role, number, _ in numbered):
+            layer = tensors[f"{role}.{number}.weight"], tensors[f"{role}.{number}.bias"]
+            networks[role] = (*networks.get(role, ()), layer)
+        frames = Normaliser(tensors["frames.mean"], tensors["frames.scale"])
+        steering = Normaliser(tensors["steering.mean"], tensors["steering.scale"])
+        if "actor" not in networks:
+            raise KeyError("actor")
+        return cls(card, networks, frames, steering)
+
+
+def _copy(tensor: Tensor) -> Tensor:
+    return tensor.detach().cpu().clone()

@@ -46,14 +46,14 @@ class StackedMLP(nn.Module):
     Args:
         generators: One generator per lane, consumed for the initial weights.
         sizes: Layer widths from input to output, e.g. ``(180, 256, 256, 3)``.
-        activation: Applied after every hidden layer; the output layer is linear.
+        activation: Applied after every hidden layer, in place if it can; the output is linear.
     """
 
     def __init__(
         self,
         generators: Sequence[np.random.Generator],
         sizes: Sequence[int],
-        activation: Activation = torch.relu,
+        activation: Activation = torch.relu_,
     ) -> None:
         super().__init__()
         self.layers = nn.ModuleList(
@@ -72,7 +72,31 @@ class StackedMLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map ``[L, B, in]`` to ``[L, B, out]``."""
-        *hidden, last = self.layers
+        return self._from_layer(0, x)
+
+    def over_actions(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Evaluate N actions at each observation; the observation's share is computed once.
+
+        Equals the forward pass on every pair: the first layer is linear in its input, so its
+        product with an observation serves all actions tried there.
+
+        Args:
+            observations: ``[L, B, O]``.
+            actions: ``[L, B, N, A]``, the last inputs of the network.
+
+        Returns:
+            ``[L, B, N, out]``.
+        """
+        (weight, bias), width = self.affine()[0], observations.shape[-1]
+        seen = torch.baddbmm(bias, observations, weight[:, :width])
+        x = torch.bmm(actions.flatten(1, 2), weight[:, width:])
+        x = x.view(*actions.shape[:3], -1).add_(seen[:, :, None]).flatten(1, 2)
+        if len(self.layers) > 1:
+            x = self._from_layer(1, self._activation(x))
+        return x.view(*actions.shape[:3], -1)
+
+    def _from_layer(self, first: int, x: Tensor) -> Tensor:
+        *hidden, last = list(self.layers)[first:]
         for layer in hidden:
             x = self._activation(layer(x))
         out: Tensor = last(x)

@@ -20,7 +20,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-__all__ = ["Draw", "LaneStreams", "lane_generator", "lane_key", "spawn_generators"]
+__all__ = [
+    "Draw",
+    "LaneStreams",
+    "lane_generator",
+    "lane_key",
+    "normal_draw",
+    "spawn_generators",
+]
 
 Draw = Callable[[np.random.Generator, int, int], npt.NDArray[np.generic]]
 """``draw(generator, lane, steps)`` returns an array ``[steps, ...]`` for one lane."""
@@ -43,6 +50,11 @@ def lane_generator(key: int, block: int = 0) -> np.random.Generator:
 def spawn_generators(keys: Sequence[int], purpose: str) -> list[np.random.Generator]:
     """One generator per lane for a single use such as weight initialisation."""
     return [lane_generator(lane_key(key, purpose)) for key in keys]
+
+
+def normal_draw(*shape: int) -> Draw:
+    """Drawing rule of standard normal numbers, float32 ``[steps, *shape]``."""
+    return lambda g, lane, steps: g.standard_normal((steps, *shape), np.float32)
 
 
 class LaneStreams:

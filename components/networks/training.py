@@ -5,6 +5,7 @@ supervised models and for the algorithms alike. The loop is a pure function of t
 step numbers: where it is interrupted and when it saves have no influence on the result.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -49,11 +50,23 @@ class Curves:
             self.points.setdefault(name, []).append((step, value.detach().cpu()))
 
     def of_lane(self, lane: int) -> dict[str, tuple[list[int], list[float]]]:
-        """Steps and values of one lane."""
+        """Steps and values of one lane, as long as they are finite."""
+        last = self.ended_at(lane)
         return {
-            name: ([s for s, _ in series], [float(v[lane]) for _, v in series])
+            name: tuple(map(list, zip(*kept, strict=True)))  # type: ignore[misc]
             for name, series in self.points.items()
+            if (kept := [(s, float(v[lane])) for s, v in series if last is None or s < last])
         }
+
+    def ended_at(self, lane: int) -> int | None:
+        """The first step at which a metric of a lane is infinite or undefined, if there is one."""
+        wrong = [
+            step
+            for series in self.points.values()
+            for step, values in series
+            if not math.isfinite(float(values[lane]))
+        ]
+        return min(wrong, default=None)
 
     def tensors(self) -> dict[str, Tensor]:
         """Values as ``[L, points]``, to be stored beside the learner's state."""
@@ -84,6 +97,11 @@ class TrainingLoop:
     log_every: int = 50
     save_every: float = 20.0
     progress: Callable[[float], None] = lambda fraction: None
+
+    @property
+    def checkpoint_exists(self) -> bool:
+        """Whether there is something to continue from."""
+        return self.checkpoint is not None and self.checkpoint.is_file()
 
     def run(
         self,
@@ -136,7 +154,7 @@ class TrainingLoop:
         save_tensors(self.checkpoint, tensors, header)
 
     def _restore(self, learner: Learner, curves: Curves) -> tuple[int, bool]:
-        if self.checkpoint is None or not self.checkpoint.is_file():
+        if self.checkpoint is None or not self.checkpoint_exists:
             return 0, False
         tensors, header = load_tensors(self.checkpoint)
         stored = list(header["members"])

@@ -8,7 +8,14 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["COLUMNS", "markdown_table", "result_rows", "results_csv", "thesis_numbers"]
+__all__ = [
+    "COLUMNS",
+    "ended_notes",
+    "markdown_table",
+    "result_rows",
+    "results_csv",
+    "thesis_numbers",
+]
 
 COLUMNS = (
     "dataset",
@@ -69,6 +76,16 @@ def result_rows(summaries: Iterable[Row]) -> list[dict[str, Any]]:
                 }
             )
     return rows
+
+
+def ended_notes(summaries: Iterable[Row]) -> list[str]:
+    """A sentence for every seed whose training ended because its loss was no longer finite."""
+    return [
+        f"{summary['algorithm']} on {summary['dataset']}, seed {seed}: its loss was no longer "
+        f"finite at update {step}; its last finite policy stands in for the snapshots after that."
+        for summary in summaries
+        for seed, step in summary.get("ended_at", {}).items()
+    ]
 
 
 def results_csv(rows: Sequence[Row]) -> str:

@@ -130,7 +130,9 @@ def random_policy(dataset: OfflineDataset, names: Sequence[object], hidden: int 
     network = StackedMLP([lane_generator(key) for key in keys(*names)], (width, hidden, 3))
     scaling = Normaliser.fit(dataset.frames)
     card = policy_card(dataset, steps=tuple(range(len(names))))
-    return Policy.of_network(card, network, Normaliser.stack([scaling] * len(names)))
+    return Policy.of_networks(
+        card, {"actor": network.affine()}, Normaliser.stack([scaling] * len(names))
+    )
 
 
 def constant_policy(actions: Sequence[float], features: int = 6, history: int = 3) -> Policy:
@@ -139,7 +141,7 @@ def constant_policy(actions: Sequence[float], features: int = 6, history: int = 
     bias = torch.atanh(torch.tensor(actions)).view(1, 1, -1)
     scaling = Normaliser(torch.zeros(1, features), torch.ones(1, features))
     card = policy_card(history=history, actions=len(actions))
-    return Policy(card, ((weight, bias),), scaling)
+    return Policy.of_networks(card, {"actor": [(weight, bias)]}, scaling)
 
 
 def random_ensemble(

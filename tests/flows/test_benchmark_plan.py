@@ -6,7 +6,9 @@ from flows.benchmark import benchmark_plan, data_plan, sweep_name
 from flows.pipeline.plan import Node, Plan
 from flows.settings import load_settings
 
-BASE = ("profile=smoke", "datasets=[mediocre-0.2,bad-0.4]", "seeds=[0,1]")
+BASE = (
+    "profile=smoke", "datasets=[mediocre-0.2,bad-0.4]", "algorithms=[lion,td3_bc]", "seeds=[0,1]",
+)  # fmt: skip
 COMPONENTS = [
     "data_generation", "model_fitting", "policy_training", "evaluation", "aggregation",
 ]  # fmt: skip

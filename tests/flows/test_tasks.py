@@ -18,7 +18,8 @@ from flows.pipeline.task import Job, TaskContext, load_task
 from flows.settings import load_settings
 
 WORDS = [
-    "profile=smoke", "datasets=[mediocre-0.2,bad-0.4]", "seeds=[0,3]", "data.trajectories=4",
+    "profile=smoke", "datasets=[mediocre-0.2,bad-0.4]", "algorithms=[lion,td3_bc,brac,bcq]",
+    "seeds=[0,3]", "data.trajectories=4",
     "data.steps=110", "evaluation.horizon=10",
 ]  # fmt: skip
 
@@ -197,9 +198,12 @@ def test_a_pool_of_twenty_snapshots_takes_the_last_two_of_every_seed(
             lambdas=[np.nan],
             returns=returns,
             distances=np.zeros((20, 1)),
+            ended_at=[700] if number else [],
         )
     run([node], tmp_path, "again")
-    [point] = stored(tmp_path / "again" / node.key / "summary.json")["points"]
+    summary = stored(tmp_path / "again" / node.key / "summary.json")
+    assert summary["ended_at"] == {"3": 700}
+    [point] = summary["points"]
     assert point["policies"] == 4
     assert point["mean"] == np.mean([18.0, 19.0, 118.0, 119.0])
 

@@ -13,6 +13,43 @@ from components.networks.streams import lane_key
 from tests.components.synthetic import CPU, random_ensemble, random_policy
 
 SMALL: dict[str, dict[str, Any]] = {
+    "bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+    "ddpg": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+    "bcq": {
+        "hidden": (8,),
+        "vae_hidden": (8,),
+        "batch": 16,
+        "target_actions": 3,
+        "deployed_actions": 4,
+    },
+    "bear": {
+        "hidden": (8,),
+        "vae_hidden": (8,),
+        "batch": 16,
+        "updates": 200,
+        "actor_learning_rate": 1e-3,
+        "learning_rate": 1e-3,
+        "target_actions": 3,
+        "deployed_actions": 4,
+    },
+    "brac": {
+        "hidden": (8,),
+        "critic_hidden": (8,),
+        "batch": 16,
+        "updates": 100,
+        "cloning": 0.1,
+        "actor_learning_rate": 1e-3,
+    },
+    "cql": {
+        "hidden": (8,),
+        "batch": 16,
+        "updates": 200,
+        "tried_actions": 3,
+        "actor_learning_rate": 1e-3,
+        "learning_rate": 1e-3,
+    },
+    "lambda_td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+    "rvs": {"hidden": (8,), "batch": 16, "window": 10},
     "lion": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
     "td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
 }
@@ -28,14 +65,18 @@ def learner(
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
     module = ALGORITHMS[algorithm]
-    needed = bool(module.NEEDS)
+    needs = module.NEEDS
     parts = Ingredients(
         data=LaneData(logs, CPU, module.FRAME_EPSILON),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
         ],
-        behaviour_policies=[random_policy(log, (log.card.name,)) for log in logs if needed],
-        recurrent_ensembles=[random_ensemble(log, log.card.name) for log in logs if needed],
+        behaviour_policies=[
+            random_policy(log, (log.card.name,)) for log in logs if "behaviour_policy" in needs
+        ],
+        recurrent_ensembles=[
+            random_ensemble(log, log.card.name) for log in logs if "recurrent_ensemble" in needs
+        ],
     )
     return module.Learner(config(algorithm, **changes), parts)
 

@@ -1,6 +1,7 @@
 """What every algorithm owes: shapes, bounds, finite metrics, policies that can be stored."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -15,6 +16,33 @@ from tests.components.synthetic import CPU, make_log, policy_card, relabelled
 
 LOG = make_log()
 every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+
+
+def candidate_noise(policy: Policy, batch: int) -> torch.Tensor | None:
+    """What a policy that draws candidates is given."""
+    if not policy.card.candidates:
+        return None
+    shape = (policy.lanes, batch, policy.card.candidates, policy.card.noise)
+    return torch.randn(shape, generator=torch.Generator().manual_seed(1))
+
+
+def inside(made: Any, observations: torch.Tensor, noise: torch.Tensor | None) -> torch.Tensor:
+    """What the learner's own networks would do, at lambda from 0 to 1 where there is one."""
+    if ALGORITHMS_BY_LEARNER[type(made)].TAKES_LAMBDA:
+        return made._act(observations, torch.linspace(0, 1, observations.shape[1])[None])
+    if noise is None:
+        out = made._actor(observations)
+        return torch.tanh(out[0] if isinstance(out, tuple) else out)
+    if hasattr(made._actor, "draw"):
+        actions = made._actor.draw(made._actor(observations), noise)[0]
+    else:
+        actions = made._perturb(made._actor, observations, made._generate(observations, noise))
+    best = made._critics.over_actions(observations, actions)[:, 0].argmax(dim=-1)
+    rows = torch.arange(observations.shape[1])
+    return actions[0, rows, best[0]][None]
+
+
+ALGORITHMS_BY_LEARNER = {module.Learner: module for module in ALGORITHMS.values()}
 
 
 @every_algorithm
@@ -42,17 +70,18 @@ def test_metrics_are_finite_and_one_per_lane(name: str) -> None:
 @every_algorithm
 def test_policies_act_within_bounds_and_survive_storage(name: str, tmp_path: Path) -> None:
     takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
-    made = learner(name, [LOG] * 2, range(2), learning_rate=0.1)
-    run(made, 10)
+    made = learner(name, [LOG] * 2, range(2), learning_rate=0.03)
+    run(made, 20)
     policy = made.policy(policy_card(LOG, takes_lambda=takes_lambda))
     assert policy.lanes == 2
     histories = 50.0 * torch.randn(2, 9, 3, 6, generator=torch.Generator().manual_seed(0))
     proximity = torch.linspace(0, 1, 9).expand(2, -1) if takes_lambda else None
-    actions = policy.act(histories, proximity)
+    noise = candidate_noise(policy, 9)
+    actions = policy.act(histories, proximity, noise)
     assert actions.shape == (2, 9, 3)
     assert actions.abs().max() <= 1.0
     policy.save(tmp_path)
-    assert torch.equal(Policy.load(tmp_path).act(histories, proximity), actions)
+    assert torch.equal(Policy.load(tmp_path).act(histories, proximity, noise), actions)
 
 
 @every_algorithm
@@ -65,12 +94,17 @@ def test_deployed_policy_sees_what_the_learner_saw(name: str) -> None:
     index = torch.tensor([[0, 1, 7, 39, 40, 200]])
     observations = made._data.observations(index)
     histories = made._data.denormalise_history(observations)
-    if takes_lambda:
-        proximity = torch.linspace(0, 1, 6)[None]
-        inside, outside = made._act(observations, proximity), policy.act(histories, proximity)
-    else:
-        inside, outside = torch.tanh(made._actor(observations)), policy.act(histories)
-    torch.testing.assert_close(inside.detach(), outside, rtol=1e-4, atol=1e-5)  # scaled twice
+    noise = candidate_noise(policy, 6)
+    outside = policy.act(histories, torch.linspace(0, 1, 6)[None] if takes_lambda else None, noise)
+    expected = inside(made, observations, noise).detach()
+    torch.testing.assert_close(outside, expected, rtol=1e-4, atol=1e-5)  # scaled twice
+
+
+@pytest.mark.parametrize("name", [n for n in ALGORITHMS if n not in ("bc", "rvs", "lion")])
+def test_values_and_saturation_are_logged(name: str) -> None:
+    made = learner(name, [LOG], [0])
+    logged = {metric for metrics in run(made, 60) for metric in metrics}
+    assert {"critic/value_magnitude", "actor/saturated_share"} <= logged
 
 
 @every_algorithm

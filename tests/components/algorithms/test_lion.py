@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from components.networks.policy import LAMBDA_MEAN, LAMBDA_SCALE
+from components.networks.policy import LAMBDA_SCALING
 from tests.components.algorithms.stacks import learner, run
 from tests.components.models.test_rollout import by_loop
 from tests.components.synthetic import (
@@ -50,7 +50,7 @@ def virtual_trajectory(policy: list, behaviour: list, row: int, proximity: float
     rewards = np.empty(0)
     for _ in range(5):
         seen = ((history - mean) / scale).flatten()
-        steered = (proximity - LAMBDA_MEAN) / LAMBDA_SCALE
+        steered = (proximity - float(LAMBDA_SCALING.mean)) / float(LAMBDA_SCALING.scale)
         action = plain_policy(policy, np.append(seen, steered))
         penalties.append(np.square(action - plain_policy(behaviour, seen)).mean())
         actions.append(action)

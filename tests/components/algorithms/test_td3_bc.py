@@ -48,12 +48,13 @@ def plain_batch(log: OfflineDataset, rows: Tensor) -> tuple[Tensor, ...]:
 
 def plain_network(state: dict[str, Tensor], name: str, lane: int) -> nn.Sequential:
     layers: list[nn.Module] = []
+    stack = f"{name}.stack" if name.startswith("critics") else name
     for number in range(2):
-        weight = state[f"{name}.layers.{number}.weight"][lane]
+        weight = state[f"{stack}.layers.{number}.weight"][lane]
         layers += [nn.Linear(*weight.shape), nn.ReLU()]
         with torch.no_grad():
             layers[-2].weight.copy_(weight.T)
-            layers[-2].bias.copy_(state[f"{name}.layers.{number}.bias"][lane, 0])
+            layers[-2].bias.copy_(state[f"{stack}.layers.{number}.bias"][lane, 0])
     return nn.Sequential(*layers[:-1])
 
 
@@ -117,7 +118,10 @@ def test_six_updates_equal_plain_torch_code() -> None:
         for lane in range(2):
             batch = plain_batch(log, drawn["row"][lane])
             expected = plain[lane].update(step, batch, drawn["noise"][lane])
-            assert metrics.keys() == expected.keys()
+            assert metrics.keys() - expected.keys() <= {
+                "critic/value_magnitude",
+                "actor/saturated_share",
+            }
             for name, value in expected.items():
                 assert float(metrics[name][lane]) == pytest.approx(value, rel=1e-4), name
     after = made.state_dict()
@@ -165,7 +169,7 @@ def test_value_of_a_constant_reward(terminal: bool, value: float) -> None:
     run(made, 600)
     rows = torch.arange(0, log.transitions, 3)[None]
     batch = made._data.batch(rows)
-    values = made._values(made._critics, batch.observations, batch.actions)
+    values = made._critics(batch.observations, batch.actions)
     # Q = r / (1 - gamma), or r; measured means 2.456 and 0.997, root mean squares 0.075 and 0.026
     assert values.mean().item() == pytest.approx(value, rel=0.03)
     assert (values - value).square().mean().sqrt().item() < 0.1 * value

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -10,9 +11,9 @@ from components.algorithms import ALGORITHMS
 from components.algorithms.train import snapshot_steps, train_policies
 from components.networks.policy import Policy
 from components.networks.training import Curves
-from tests.components.algorithms.stacks import learner
+from tests.components.algorithms.stacks import config, learner
 from tests.components.interruption import KilledError, dying, lanes
-from tests.components.synthetic import make_log
+from tests.components.synthetic import make_log, policy_card
 
 LOGS = {"a": make_log("toy"), "b": make_log("toy"), "c": make_log("other", seed=3)}
 SEEDS = {"a": 0, "b": 1, "c": 0}
@@ -34,10 +35,16 @@ def train(
         updates=UPDATES,
         snapshots=SNAPSHOTS,
         takes_lambda=ALGORITHMS[name].TAKES_LAMBDA,
+        preparation=preparation(name),
         work=work,
         progress=lambda fraction: None,
         save_every=0.0,
     )
+
+
+def preparation(name: str) -> int:
+    """Updates before the budget, of learners that have some."""
+    return getattr(config(name), "preparation", 0)
 
 
 def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
@@ -52,7 +59,8 @@ def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
 def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
     policies, curves = train(name, tmp_path)
     assert [p.card.dataset for p in policies] == ["toy", "toy", "other"]
-    assert [p.card.steps for p in policies] == [(6, 12, 18, 24, 30)] * 3
+    steps = tuple(preparation(name) + step for step in (6, 12, 18, 24, 30))
+    assert [p.card.steps for p in policies] == [steps] * 3
     assert {p.lanes for p in policies} == {SNAPSHOTS}
     assert {p.card.takes_lambda for p in policies} == {ALGORITHMS[name].TAKES_LAMBDA}
     weight = policies[0].layers[0][0]
@@ -89,8 +97,8 @@ def test_part_of_the_lanes_is_finished_without_the_rest(name: str, tmp_path: Pat
             assert torch.equal(w[:3], v[:3])  # snapshots from before the interruption
             # ten updates with fewer lanes: float32 sums in another order
             torch.testing.assert_close(w[3:], v[3:], rtol=1e-3, atol=1e-5)
-    for steps, _ in curves.of_lane(0).values():
-        assert steps[-1] == UPDATES
+    last = [steps[-1] for steps, _ in curves.of_lane(0).values()]
+    assert max(last) == UPDATES + preparation(name)
 
 
 @every_algorithm
@@ -98,6 +106,58 @@ def test_a_finished_run_is_only_read_again(name: str, tmp_path: Path) -> None:
     expected, _ = train(name, tmp_path)
     found, _ = train(name, tmp_path, death=0)  # any update would raise
     assert_same(found, expected)
+
+
+class Breaking:
+    """Its second lane's loss is undefined from an update on, and its weights after that."""
+
+    def __init__(self, made: Any, at: int) -> None:
+        self.lanes, self._made, self._at = made.lanes, made, at
+        self.policy, self.state_dict = made.policy, made.state_dict
+        self.load_state_dict = made.load_state_dict
+
+    def update(self, step: int) -> dict[str, torch.Tensor]:
+        metrics = self._made.update(step)
+        if step >= self._at:
+            with torch.no_grad():
+                for parameter in self._made._actor.parameters():
+                    parameter[1] = torch.nan
+        return metrics
+
+
+@pytest.mark.parametrize(("at", "stands_in"), [(13, 1), (2, None)])
+def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
+    at: int, stands_in: int | None, tmp_path: Path
+) -> None:
+    logs = [LOGS[member] for member in "abc"]
+    made = learner("ddpg", logs, [0, 1, 0])
+    untrained = made.policy(policy_card(logs[1])).layers[0][0][1].clone()
+    (tmp_path / "whole").mkdir()
+    expected, _ = train("ddpg", tmp_path / "whole")
+    (tmp_path / "work").mkdir()
+    policies, curves = train_policies(
+        "ddpg",
+        Breaking(made, at),
+        logs,
+        list("abc"),
+        updates=UPDATES,
+        snapshots=SNAPSHOTS,
+        takes_lambda=False,
+        work=tmp_path / "work",
+        progress=lambda fraction: None,
+    )
+    assert_same([policies[0], policies[2]], [expected[0], expected[2]])
+    # The next update's loss is undefined, and the curves tell.
+    assert curves.ended_at(1) == policies[1].card.ended_at == at + 2
+    assert [p.card.ended_at for p in policies] == [None, at + 2, None]
+    weight = policies[1].layers[0][0]
+    assert torch.isfinite(weight).all()
+    kept = untrained if stands_in is None else expected[1].layers[0][0][stands_in]
+    for number in range(0 if stands_in is None else stands_in, SNAPSHOTS):
+        assert torch.equal(weight[number], kept)
+    # The curves of the lane stop before that, the others' do not.
+    assert max(steps[-1] for steps, _ in curves.of_lane(1).values()) == at + 1
+    assert max(steps[-1] for steps, _ in curves.of_lane(0).values()) == UPDATES
 
 
 def test_snapshot_steps() -> None:

@@ -12,7 +12,7 @@ from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.batch import make_batch
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
 from components.networks import StackedMLP, lane_generator, lane_key
-from components.networks.policy import LAMBDA_SCALE, Policy
+from components.networks.policy import LAMBDA_SCALING, Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 
 SMALL = EvaluationConfig(trajectories=3, horizon=12, discount=0.9, lambda_step=0.25)
@@ -28,13 +28,15 @@ def lambda_policy() -> Policy:
     weight = torch.zeros(1, 19, 3)
     weight[0, 18, 0] = 1.0
     scaling = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
-    return Policy(policy_card(takes_lambda=True), ((weight, torch.zeros(1, 1, 3)),), scaling)
+    card = policy_card(takes_lambda=True)
+    return Policy.of_networks(card, {"actor": [(weight, torch.zeros(1, 1, 3))]}, scaling)
 
 
 def network_policy(key: int, snapshots: int = 2) -> Policy:
     generators = [lane_generator(lane_key(key, n)) for n in range(snapshots)]
     scaling = Normaliser(torch.full((snapshots, 6), 50.0), torch.full((snapshots, 6), 30.0))
-    return Policy.of_network(policy_card(), StackedMLP(generators, (18, 16, 3)), scaling)
+    network = StackedMLP(generators, (18, 16, 3))
+    return Policy.of_networks(policy_card(), {"actor": network.affine()}, scaling)
 
 
 def evaluate(
@@ -83,7 +85,7 @@ def test_lambda_reaches_the_policy() -> None:
     grid = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     np.testing.assert_array_equal(result.lambdas, grid)
     assert result.returns.shape == (1, 5, 3)
-    first = np.tanh((grid - 0.5) / LAMBDA_SCALE)
+    first = np.tanh((grid - 0.5) / float(LAMBDA_SCALING.scale))
     actions = np.stack([first, np.zeros(5), np.zeros(5)], axis=1)
     expected = simulate(np.repeat(actions, 3, axis=0), 5, 12, 0.9).reshape(1, 5, 3)
     np.testing.assert_allclose(result.returns, expected, rtol=1e-5)
@@ -128,9 +130,9 @@ def test_a_policy_sees_its_own_history() -> None:
     # The action is the newest velocity's change over two frames, scaled: 0 at first.
     weight = torch.zeros(1, 18, 3)
     weight[0, 1, 0], weight[0, 13, 0] = 1.0, -1.0
-    policy = Policy(
+    policy = Policy.of_networks(
         policy_card(),
-        ((weight, torch.full((1, 1, 3), 0.4)),),
+        {"actor": [(weight, torch.full((1, 1, 3), 0.4))]},
         Normaliser(torch.zeros(1, 6), torch.full((1, 6), 10.0)),
     )
     [result] = evaluate([policy], [2])
@@ -183,3 +185,25 @@ def test_protocols_out_of_range_are_refused(fields: dict[str, float]) -> None:
 def test_every_step_that_divides_one_is_accepted(step: float) -> None:
     grid = EvaluationConfig(lambda_step=step).lambdas
     assert len(grid) == round(1 / step) + 1
+
+
+def candidate_policy(key: int) -> Policy:
+    """Draws three candidates at every state; two snapshots."""
+    generators = [[lane_generator(lane_key(key, role, n)) for n in (0, 1)] for role in "ac"]
+    networks = {
+        "actor": StackedMLP(generators[0], (18, 8, 6)).affine(),
+        "critic": StackedMLP(generators[1], (21, 8, 1)).affine(),
+    }
+    card = policy_card(kind="gaussian_candidates", candidates=3, noise=3)
+    scaling = Normaliser(torch.full((2, 6), 50.0), torch.full((2, 6), 30.0))
+    return Policy.of_networks(card, networks, scaling)
+
+
+def test_policies_that_draw_candidates_have_their_own_noise() -> None:
+    one, two = candidate_policy(1), candidate_policy(2)
+    together = evaluate([one, two], [5, 6])
+    for policy, key, found in zip((one, two), (5, 6), together, strict=True):
+        [alone] = evaluate([policy], [key])
+        np.testing.assert_array_equal(alone.returns, found.returns)
+    [other] = evaluate([one], [7])
+    assert not np.isclose(other.returns, together[0].returns).any()

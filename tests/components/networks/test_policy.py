@@ -8,10 +8,17 @@ import pytest
 import torch
 from torch import nn
 
+from components.data.normaliser import Normaliser
 from components.networks import StackedMLP, lane_generator
 from components.networks.checkpoint import load_tensors, save_tensors
-from components.networks.policy import Policy, standardise_lambda
-from tests.components.synthetic import FEATURES, constant_policy, make_log, random_policy
+from components.networks.policy import LAMBDA_SCALING, Policy
+from tests.components.synthetic import (
+    FEATURES,
+    constant_policy,
+    make_log,
+    policy_card,
+    random_policy,
+)
 
 LOG = make_log()
 HISTORIES = torch.from_numpy(LOG.frames[: 2 * 7 * 3].reshape(2, 7, 3, 6).copy())
@@ -59,7 +66,7 @@ def test_lanes_and_concatenation(policy: Policy) -> None:
 def test_a_copy_does_not_follow_the_network_it_came_from() -> None:
     network = StackedMLP([lane_generator(1)], (18, 3))
     like = random_policy(LOG, ("a",))
-    policy = Policy.of_network(like.card, network, like.frames)
+    policy = Policy.of_networks(like.card, {"actor": network.affine()}, like.frames)
     before = policy.act(HISTORIES[:1])
     with torch.no_grad():
         for parameter in network.parameters():
@@ -74,13 +81,13 @@ def test_lambda_is_asked_for_exactly_where_it_is_taken(policy: Policy) -> None:
     weight[0, 18, 1] = 1.0
     fixed = constant_policy([0.0, 0.0, 0.0])
     card = fixed.card.__class__(**(vars(fixed.card) | {"takes_lambda": True}))
-    steered = Policy(card, ((weight, fixed.layers[0][1]),), fixed.frames)
+    steered = Policy.of_networks(card, {"actor": [(weight, fixed.layers[0][1])]}, fixed.frames)
     with pytest.raises(ValueError, match="needs lambda"):
         steered.act(HISTORIES[:1])
     actions = steered.act(HISTORIES[:1, :3], torch.tensor([[0.0, 0.5, 1.0]]))
     expected = torch.tanh(torch.tensor([-0.5 / 0.2887, 0.0, 0.5 / 0.2887]))
     torch.testing.assert_close(actions[0, :, 1], expected)
-    assert standardise_lambda(torch.tensor(0.5)) == 0.0
+    assert LAMBDA_SCALING.apply(torch.tensor(0.5)) == 0.0
 
 
 def test_missing_files_are_named(folder: Path, tmp_path: Path) -> None:
@@ -105,6 +112,7 @@ def changed_card(folder: Path, **changes: object) -> str:
         ({"steps": ...}, "'steps'"),
         ({"steps": 3}, "not iterable"),
         ({"invented": 1}, "invented"),
+        ({"kind": "oracle"}, "it acts by 'oracle'"),
     ],
 )
 def test_cards_that_do_not_fit_are_refused(folder: Path, changes: dict, reason: str) -> None:
@@ -139,15 +147,32 @@ def test_damaged_weights_are_refused_and_nothing_is_unpickled(folder: Path) -> N
 def test_weights_without_a_layer_are_refused(policy: Policy, folder: Path) -> None:
     path = folder / "weights.safetensors"
     tensors, header = load_tensors(path)
-    del tensors["layer1.bias"]
+    del tensors["actor.1.bias"]
     save_tensors(path, tensors, header)
-    with pytest.raises(ValueError, match=r"weights\.safetensors lacks 'layer1\.bias'"):
+    with pytest.raises(ValueError, match=r"weights\.safetensors lacks 'actor\.1\.bias'"):
         Policy.load(folder)
 
 
 def test_the_card_says_what_the_policy_is(folder: Path) -> None:
     values = json.loads((folder / "policy.json").read_text())
-    assert values["format"] == "policy/1"
+    assert values["format"] == "policy/2"
     assert tuple(values["features"]) == FEATURES
     assert values["history"] == 3
     assert values["takes_lambda"] is False
+
+
+def test_every_policy_may_scale_lambda_in_its_own_way() -> None:
+    weight = torch.zeros(2, 19, 3)
+    weight[:, 18, 0] = 1.0
+    card = policy_card(takes_lambda=True, kind="clipped")
+    steering = Normaliser(torch.tensor([[0.0], [0.5]]), torch.tensor([[2.0], [-1.0]]))
+    frames = Normaliser(torch.zeros(2, 6), torch.ones(2, 6))
+    both = Policy.of_networks(card, {"actor": [(weight, torch.zeros(2, 1, 3))]}, frames, steering)
+    actions = both.act(HISTORIES[:, :2], torch.tensor([[0.0, 1.0]] * 2))
+    assert actions[:, :, 0].tolist() == [[0.0, 0.5], [0.5, -0.5]]
+
+
+def test_infinite_and_undefined_weights_are_told_per_policy(policy: Policy) -> None:
+    assert policy.finite.tolist() == [True, True]
+    policy.layers[1][1][1, 0, 2] = torch.nan
+    assert policy.finite.tolist() == [True, False]

@@ -1,0 +1,74 @@
+"""BC: plain behaviour cloning, the reference row that shows what copying the log achieves.
+
+``pi(s)`` minimises the mean squared distance to the logged action, averaged over action entries
+(Pomerleau, "ALVINN", 1989). Nothing is rewarded. The sizes are those of the actor of TD3+BC, of
+which this is the limit ``alpha = 0``. Of data with random actions mixed in it learns their mean,
+and so often does better than the operators it copies.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS: tuple[str, ...] = ()
+TAKES_LAMBDA = False
+FRAME_EPSILON = 1e-3  # added to every feature's deviation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Sizes and budget of the other model-free learners."""
+
+    updates: int = 10_000
+    hidden: tuple[int, ...] = (256, 256)  # policy layers
+    learning_rate: float = 3e-4  # Adam
+    batch: int = 256  # transitions per update
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        if min(self.updates, self.batch, *self.hidden) < 1:
+            raise ValueError("updates, batch and hidden must be at least 1.")
+        if self.learning_rate <= 0:
+            raise ValueError("learning_rate must be positive.")
+
+
+class Learner(StackedLearner):
+    """A stack of clones, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._data = data = parts.data
+        self.lanes = data.lanes
+        sizes = (data.observation_width, *config.hidden, data.action_width)
+        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(data.device)
+        self._networks = {"actor": self._actor}
+        self._optimizers = {"actor": adam(list(self._actor.parameters()), config.learning_rate)}
+        self._streams = LaneStreams(parts.keys, {"row": data.row_draw(config.batch)}, data.device)
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One cloning step on all lanes."""
+        index = self._streams.at(step)["row"]
+        actions = torch.tanh(self._actor(self._data.observations(index)))
+        error = lanewise_mean((actions - self._data.actions(index)).square())
+        descend(self._optimizers["actor"], error)
+        return {"actor/cloning_error": error.detach(), "actor/saturated_share": saturation(actions)}
+
+    # -- what is deployed ---------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)

@@ -1,0 +1,238 @@
+"""CQL: soft actor-critic whose values are pushed down wherever the log says nothing.
+
+Kumar, Zhou, Tucker, Levine, "Conservative Q-Learning for Offline Reinforcement Learning" (2020), in
+the form of the authors' code. Per update, on one batch, with N = 10:
+
+    temperature: log_alpha descends -log_alpha (log pi(a~ | s) - A)        (target entropy -A)
+    actor:   mean [alpha log pi(a~ | s) - min_j Q_j(s, a~)],  a~ ~ pi; while it still clones,
+             mean [alpha log pi(a~ | s) - log pi(a | s)]
+    y        = r + gamma (1 - terminal) min_j Q_target_j(s', a'),  a' ~ pi, no entropy term
+    L_j      = w [log sum exp over actions tried at s - mean Q_j(s, a)]
+    critics: sum_j mean (Q_j(s, a) - y)^2 + L_j
+    targets <- tau online + (1 - tau) target
+
+CQL(H), ``variant=h``: tried are N uniform actions, N of pi(s) and N of pi(s'), each value less its
+log density. CQL(rho), ``variant=rho``: the same and the logged action, without densities; that is
+the authors' code, not the paper's expression. ``lagrange=TAU`` learns a multiplier of
+``L_j - TAU`` instead of taking it as 1. Deployed is tanh of the mean.
+
+Where references disagree: w = 5 without Lagrange and an actor rate of 1e-4 (the authors' README;
+the paper used 3e-5 and Lagrange), three layers of 256, cloning for 40,000 updates of a million,
+here the same share of the budget. The squared error carries no factor 1/2, so w is twice the
+paper's.
+
+Deviations: the temperature's and actor's steps come before the critics' (the authors' order cannot
+run on today's PyTorch); initial weights are PyTorch's; frames are standardised; logged actions are
+clipped to +-0.999 inside densities. The end of a logged trajectory is a time-out and is
+bootstrapped through. gamma and the budget of 300 epochs of 1,000 updates are the thesis's (5.1.2).
+"""
+
+import copy
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from components.algorithms.base import (
+    Ingredients,
+    Scalars,
+    StackedLearner,
+    descend,
+    saturation,
+)
+from components.data.lanes import Batch
+from components.networks import (
+    Critics,
+    LaneStreams,
+    TanhGaussian,
+    lanewise_mean,
+    normal_draw,
+    polyak_update,
+)
+from components.networks.gaussian import log_density, raw_actions
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS: tuple[str, ...] = ()
+TAKES_LAMBDA = False
+FRAME_EPSILON = 1e-3  # added to every feature's deviation
+ACTION_MARGIN = 1e-3  # logged actions are kept this far from the bounds inside densities
+LARGEST_MULTIPLIER = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """The authors' recommended settings, with the thesis's discount and budget."""
+
+    updates: int = 300_000
+    hidden: tuple[int, ...] = (256, 256, 256)  # layers of actor and critics
+    actor_learning_rate: float = 1e-4  # Adam, actor and temperature
+    learning_rate: float = 3e-4  # Adam, critics and multiplier
+    batch: int = 256  # transitions per update
+    discount: float = 0.97  # gamma
+    target_rate: float = 0.005  # tau
+    weight: float = 5.0  # w, of the conservative term
+    variant: Literal["h", "rho"] = "h"
+    lagrange: float | None = None  # gap that the learned multiplier allows; None: no multiplier
+    tried_actions: int = 10  # N, of each kind
+    cloning: float = 0.04  # first share of the updates, in which the actor clones
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        if min(self.updates, self.batch, self.tried_actions, *self.hidden) < 1:
+            raise ValueError("updates, batch, tried_actions and hidden must be at least 1.")
+        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
+            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        if min(self.actor_learning_rate, self.learning_rate) <= 0 or self.weight < 0:
+            raise ValueError("learning rates must be positive and weight not negative.")
+        if not 0 <= self.cloning <= 1 or self.variant not in ("h", "rho"):
+            raise ValueError("cloning must lie in [0, 1] and variant be h or rho.")
+
+
+class Learner(StackedLearner):
+    """A stack of CQL learners, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._config, self._data = config, parts.data
+        data, device, keys = parts.data, parts.data.device, parts.keys
+        self.lanes = data.lanes
+        seen, acted = data.observation_width, data.action_width
+        self._actor = TanhGaussian(keys, "actor", (seen, *config.hidden, acted)).to(device)
+        self._critics = Critics(keys, seen, acted, config.hidden).to(device)
+        self._critics_target = copy.deepcopy(self._critics).requires_grad_(False)
+        self._log_temperature = Scalars(self.lanes, 0.0).to(device)
+        self._networks = {
+            "actor": self._actor,
+            "critics": self._critics,
+            "critics_target": self._critics_target,
+            "log_temperature": self._log_temperature,
+        }
+        if config.lagrange is not None:
+            self._log_multiplier = Scalars(self.lanes, 0.0).to(device)
+            self._networks["log_multiplier"] = self._log_multiplier
+        rates = {
+            "actor": config.actor_learning_rate,
+            "log_temperature": config.actor_learning_rate,
+            "critics": config.learning_rate,
+            "log_multiplier": config.learning_rate,
+        }
+        self._optimizers = {
+            name: adam(list(self._networks[name].parameters()), rate)
+            for name, rate in rates.items()
+            if name in self._networks
+        }
+        batch, tried = config.batch, (config.batch, config.tried_actions, acted)
+        self._streams = LaneStreams(
+            keys,
+            {
+                "row": data.row_draw(batch),
+                "actor": normal_draw(batch, 1, acted),
+                "target": normal_draw(batch, 1, acted),
+                "here": normal_draw(*tried),
+                "next": normal_draw(*tried),
+                "uniform": lambda g, lane, steps: 2.0 * g.random((steps, *tried), np.float32) - 1.0,
+            },
+            device,
+        )
+
+    # -- losses -----------------------------------------------------------------------------
+
+    def _actor_loss(
+        self, batch: Batch, noise: Tensor, step: int
+    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Actor's loss, mean log density of its actions, ``[L]`` each, and metrics."""
+        config = self._config
+        mean, log_std = self._actor(batch.observations)
+        actions, _, density = self._actor.draw((mean, log_std), noise)
+        entropy_cost = lanewise_mean(density)
+        loss = self._log_temperature.value.detach().exp() * entropy_cost
+        metrics = {"actor/saturated_share": saturation(actions)}
+        if step < config.cloning * config.updates:
+            logged = raw_actions(batch.actions, ACTION_MARGIN)
+            loss = loss - lanewise_mean(log_density(mean, log_std, logged))
+        else:
+            values = self._critics(batch.observations, actions.squeeze(2)).amin(dim=1)
+            loss = loss - lanewise_mean(values)
+            metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
+        return loss, entropy_cost.detach(), metrics | {"actor/loss": loss.detach()}
+
+    @torch.no_grad()
+    def _tried(self, batch: Batch, drawn: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Targets ``[L, B]``, actions tried ``[L, B, 3N, A]`` and their log densities."""
+        config = self._config
+        following = self._actor(batch.next_observations)
+        action, _, _ = self._actor.draw(following, drawn["target"])
+        values = self._critics_target(batch.next_observations, action.squeeze(2)).amin(dim=1)
+        targets = batch.rewards + config.discount * batch.continues * values
+        here, _, here_density = self._actor.draw(self._actor(batch.observations), drawn["here"])
+        ahead, _, ahead_density = self._actor.draw(following, drawn["next"])
+        uniform = drawn["uniform"]
+        uniform_density = torch.full_like(here_density, -uniform.shape[-1] * math.log(2.0))
+        tried = torch.cat([uniform, here, ahead], dim=2)
+        return targets, tried, torch.cat([uniform_density, here_density, ahead_density], dim=2)
+
+    def _critic_losses(
+        self, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Mean squared errors and conservative terms of both critics, ``[L, 2]`` each."""
+        actions = torch.cat([batch.actions[:, :, None], tried], dim=2)
+        values = self._critics.over_actions(batch.observations, actions)  # [L, 2, B, 1 + 3N]
+        logged = values[..., 0]
+        errors = (logged - targets[:, None]).square().mean(dim=2)
+        if self._config.variant == "h":
+            pushed = torch.logsumexp(values[..., 1:] - density[:, None], dim=-1)
+        else:
+            pushed = torch.logsumexp(values, dim=-1)
+        return errors, self._config.weight * (pushed - logged).mean(dim=2)
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One update of temperature, actor, critics and targets on all lanes."""
+        config, drawn = self._config, self._streams.at(step)
+        batch = self._data.batch(drawn["row"])
+        actor_loss, entropy_cost, metrics = self._actor_loss(batch, drawn["actor"], step)
+        descend(self._optimizers["actor"], actor_loss)
+        surplus = entropy_cost - self._data.action_width  # log density above target entropy's
+        descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
+        errors, gaps = self._critic_losses(batch, *self._tried(batch, drawn))
+        critic_loss = self._critic_step(errors, gaps)
+        polyak_update(self._critics_target, self._critics, config.target_rate)
+        return metrics | {
+            "critic/loss": critic_loss.detach(),
+            "critic/squared_error": errors.detach().sum(dim=1),
+            "critic/conservative_gap": gaps.detach().mean(dim=1),
+            "actor/temperature": self._log_temperature.value.detach().exp(),
+        }
+
+    def _critic_step(self, errors: Tensor, gaps: Tensor) -> Tensor:
+        """Step the critics, and the multiplier where one is learned; returns their loss ``[L]``."""
+        allowed = self._config.lagrange
+        if allowed is None:
+            loss = (errors + gaps).sum(dim=1)
+            descend(self._optimizers["critics"], loss)
+            return loss
+        multiplier = self._log_multiplier.value.exp().clamp(max=LARGEST_MULTIPLIER)
+        loss = (errors + multiplier.detach()[:, None] * (gaps - allowed)).sum(dim=1)
+        descend(self._optimizers["critics"], loss)
+        ascent = -multiplier * (gaps.detach() - allowed).mean(dim=1)
+        descend(self._optimizers["log_multiplier"], ascent)
+        return loss
+
+    # -- what is deployed ---------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_networks(
+            card, {"actor": self._actor.mean_network()}, self._data.frame_scaling
+        )

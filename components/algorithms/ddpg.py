@@ -1,0 +1,135 @@
+"""DDPG: deep deterministic policy gradient on logged data, the control without any regularisation.
+
+Lillicrap et al., "Continuous Control with Deep Reinforcement Learning" (2016), in the form of
+"OurDDPG" of Fujimoto et al., "Addressing Function Approximation Error in Actor-Critic Methods"
+(2018). Per update:
+
+    y  = r + gamma (1 - terminal) Q_target(s', pi_target(s'))
+    critic: mean (Q(s, a) - y)^2
+    actor:  -mean Q(s, pi(s)), with the critic just updated
+    targets <- tau online + (1 - tau) target
+
+References disagree on sizes; taken are OurDDPG's since 2021 (two layers of 256, Adam 3e-4, batch
+256), which are those of TD3+BC without its tricks. Offline nothing corrects the values of actions
+that were never logged, so they grow without bound and the actor leaves the data for the bounds of
+the action box. That is the method's result here: neither values nor gradients are clipped.
+
+Deviations: frames are standardised (the raw frames of the Industrial Benchmark are far from unit
+scale). The end of a logged trajectory is a time-out and is bootstrapped through. gamma and the
+budget of 10,000 updates are the thesis's (5.1.2).
+"""
+
+import copy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.data.lanes import Batch
+from components.networks import (
+    Critics,
+    LaneStreams,
+    StackedMLP,
+    lanewise_mean,
+    polyak_update,
+    spawn_generators,
+)
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS: tuple[str, ...] = ()
+TAKES_LAMBDA = False
+FRAME_EPSILON = 1e-3  # added to every feature's deviation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """The authors' settings, with the thesis's discount and budget."""
+
+    updates: int = 10_000
+    hidden: tuple[int, ...] = (256, 256)  # layers of actor and critic
+    learning_rate: float = 3e-4  # Adam, actor and critic
+    batch: int = 256  # transitions per update
+    discount: float = 0.97  # gamma
+    target_rate: float = 0.005  # tau
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        if min(self.updates, self.batch, *self.hidden) < 1:
+            raise ValueError("updates, batch and hidden must be at least 1.")
+        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
+            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        if self.learning_rate <= 0:
+            raise ValueError("learning_rate must be positive.")
+
+
+class Learner(StackedLearner):
+    """A stack of DDPG learners, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._config, self._data = config, parts.data
+        data, device = parts.data, parts.data.device
+        self.lanes = data.lanes
+        sizes = (data.observation_width, *config.hidden, data.action_width)
+        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
+        self._critic = Critics(
+            parts.keys, data.observation_width, data.action_width, config.hidden, count=1
+        ).to(device)
+        self._actor_target = copy.deepcopy(self._actor).requires_grad_(False)
+        self._critic_target = copy.deepcopy(self._critic).requires_grad_(False)
+        self._networks = {
+            "actor": self._actor,
+            "critic": self._critic,
+            "actor_target": self._actor_target,
+            "critic_target": self._critic_target,
+        }
+        self._optimizers = {
+            "actor": adam(list(self._actor.parameters()), config.learning_rate),
+            "critic": adam(list(self._critic.parameters()), config.learning_rate),
+        }
+        self._streams = LaneStreams(parts.keys, {"row": data.row_draw(config.batch)}, device)
+
+    # -- losses -----------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _targets(self, batch: Batch) -> Tensor:
+        """Bootstrapped values ``[L, B]`` of the logged transitions."""
+        actions = torch.tanh(self._actor_target(batch.next_observations))
+        values = self._critic_target.first(batch.next_observations, actions)
+        return batch.rewards + self._config.discount * batch.continues * values
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One update of critic, actor and targets on all lanes."""
+        batch = self._data.batch(self._streams.at(step)["row"])
+        targets = self._targets(batch)
+        critic_loss = self._critic.errors(batch.observations, batch.actions, targets).sum(dim=1)
+        descend(self._optimizers["critic"], critic_loss)
+        actions = torch.tanh(self._actor(batch.observations))
+        values = self._critic.first(batch.observations, actions)
+        actor_loss = -lanewise_mean(values)
+        descend(self._optimizers["actor"], actor_loss)
+        polyak_update(self._actor_target, self._actor, self._config.target_rate)
+        polyak_update(self._critic_target, self._critic, self._config.target_rate)
+        return {
+            "critic/loss": critic_loss.detach(),
+            "critic/target_mean": lanewise_mean(targets),
+            "critic/value_magnitude": lanewise_mean(values.detach().abs()),
+            "actor/loss": actor_loss.detach(),
+            "actor/saturated_share": saturation(actions),
+        }
+
+    # -- what is deployed ---------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)

@@ -1,0 +1,89 @@
+"""lambda-TD3+BC: TD3+BC whose trade-off between value and cloning is an input at run time.
+
+The model-free comparison of thesis 6.5 (equation 6.9) and of Swazinna, Udluft, Runkler,
+"User-Interactive Offline Reinforcement Learning" (2022). Actor and critics are given the proximity
+parameter lambda beside the observation; each logged transition draws its own
+``lambda ~ Beta(0.1, 0.1)``, the same one for both of its states, and the actor minimises
+
+    mean [-lambda alpha Q_1(s, pi, lambda) / mean|Q_1| + (1 - lambda) (pi - a)^2]
+
+for ``pi = pi(s, lambda)``, with the squared distance averaged over action entries. All else is
+TD3+BC, see
+:mod:`components.algorithms.td3_bc`.
+
+Deviations: frames are standardised, which the authors' code leaves out here; lambda enters the
+networks standardised, as in LION.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from components.algorithms import td3_bc
+from components.data.lanes import Batch
+from components.networks import Draw, lanewise_mean
+from components.networks.policy import LAMBDA_SCALING
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS: tuple[str, ...] = ()
+TAKES_LAMBDA = True
+FRAME_EPSILON = td3_bc.FRAME_EPSILON
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config(td3_bc.Config):
+    """TD3+BC's settings, and how lambda is drawn."""
+
+    beta: float = 0.1  # both parameters of lambda's Beta distribution
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        super().__post_init__()
+        if self.beta <= 0:
+            raise ValueError("beta must be positive.")
+
+
+class Learner(td3_bc.Learner):
+    """A stack of lambda-TD3+BC learners, one lane per (dataset, seed)."""
+
+    _steered = 1
+
+    def _draws(self) -> dict[str, Draw]:
+        shape = self._config.batch
+        beta = self._config.beta  # type: ignore[attr-defined]
+        return super()._draws() | {
+            "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, shape)).astype("f4")
+        }
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def _steer(self, observations: Tensor, proximity: Tensor) -> Tensor:
+        """Observations ``[L, B, O + 1]`` with lambda ``[L, B]`` as their last entry."""
+        steered = LAMBDA_SCALING.to(observations.device).apply(proximity[..., None])
+        return torch.cat([observations, steered], dim=-1)
+
+    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
+        """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
+        return torch.tanh(self._actor(self._steer(observations, proximity)))
+
+    # -- losses -----------------------------------------------------------------------------
+
+    def _batch(self, drawn: dict[str, Tensor]) -> Batch:
+        batch = super()._batch(drawn)
+        return replace(
+            batch,
+            observations=self._steer(batch.observations, drawn["proximity"]),
+            next_observations=self._steer(batch.next_observations, drawn["proximity"]),
+        )
+
+    def _weigh(self, batch: Batch, gain: Tensor, distance: Tensor) -> Tensor:
+        scaling = LAMBDA_SCALING.to(gain.device)
+        proximity = scaling.invert(batch.observations[..., -1:]).squeeze(-1)
+        return lanewise_mean((1.0 - proximity) * distance - proximity * gain)

@@ -1,0 +1,159 @@
+"""RvS-R: supervised learning conditioned on the return that shall be achieved.
+
+Emmons, Eysenbach, Kostrikov, Levine, "RvS: What is Essential for Offline RL via Supervised
+Learning?" (2022); the comparison of thesis chapter 6. A Gaussian policy with one learned standard
+deviation per action entry maximises the likelihood of the logged actions given the observation and
+the return that the log achieved from there:
+
+    loss = -mean log N(a; mu(s, w), sigma^2),   w_t = sum_{k < 100} gamma^k r_{t+k}
+
+Deployed is the mean, clipped to the action box, for a wanted return that is held for the whole
+episode. Here the operator's dial sets it: lambda = 0 asks for the log's mean, lambda = 1 for the
+best it ever achieved over 100 steps.
+
+The authors condition on the average reward to go; the thesis speaks of the return, on whose
+discounted scale its figure is drawn, so that is taken, over the window in which policies are
+judged (the last steps of a trajectory have no such window and are left out). More deviations:
+batches of 256, shuffled, for 10,000 updates instead of 16,384 for 2,000 epochs; PyTorch's default
+initial weights; observation and return are standardised.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.data.dataset import OfflineDataset
+from components.data.normaliser import Normaliser
+from components.data.returns import window_returns
+from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS: tuple[str, ...] = ()
+TAKES_LAMBDA = True
+FRAME_EPSILON = 1e-3  # added to every feature's deviation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """The authors' network and rate, with the benchmark's budget and return."""
+
+    updates: int = 10_000
+    hidden: tuple[int, ...] = (1024, 1024)  # policy layers
+    learning_rate: float = 1e-3  # Adam
+    batch: int = 256  # transitions per update
+    discount: float = 0.97  # gamma
+    window: int = 100  # steps of the return that is conditioned on
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        if min(self.updates, self.batch, self.window, *self.hidden) < 1:
+            raise ValueError("updates, batch, window and hidden must be at least 1.")
+        if self.learning_rate <= 0 or not 0 < self.discount <= 1:
+            raise ValueError("learning_rate must be positive and discount lie in (0, 1].")
+
+
+def _achieved(dataset: OfflineDataset, config: Config) -> tuple[np.ndarray, np.ndarray]:
+    """Transitions that begin a whole window, and its return."""
+    rows, returns = [], []
+    for start, end in zip(dataset.episode_starts[:-1], dataset.episode_starts[1:], strict=True):
+        if end - start >= config.window:
+            of_episode = window_returns(dataset.rewards[start:end], config.discount, config.window)
+            rows.append(start + np.arange(len(of_episode)))
+            returns.append(of_episode)
+    if not rows:
+        raise ValueError(
+            f"No trajectory of {dataset.card.name} has window={config.window} steps; lower window."
+        )
+    return np.concatenate(rows), np.concatenate(returns)
+
+
+class _Head(nn.Module):
+    """One learned log standard deviation per lane and action entry."""
+
+    def __init__(self, lanes: int, actions: int) -> None:
+        super().__init__()
+        self.log_std = nn.Parameter(torch.zeros(lanes, 1, actions))
+
+
+class Learner(StackedLearner):
+    """A stack of RvS-R policies, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._data = data = parts.data
+        device, self.lanes = data.device, data.lanes
+        sizes = (data.observation_width + 1, *config.hidden, data.action_width)
+        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
+        self._head = _Head(self.lanes, data.action_width).to(device)
+        self._networks = {"actor": self._actor, "head": self._head}
+        learned = [*self._actor.parameters(), *self._head.parameters()]
+        self._optimizers = {"actor": adam(learned, config.learning_rate)}
+        windows = [_achieved(dataset, config) for dataset in data.datasets]
+        scaled, steering = [], []
+        for rows, returns in windows:
+            scaling = Normaliser.fit(returns[:, None])
+            everywhere = np.zeros(max(data.counts), np.float32)
+            everywhere[rows] = scaling.apply(torch.from_numpy(returns[:, None])).squeeze(1).numpy()
+            scaled.append(torch.from_numpy(everywhere))
+            # lambda 0 asks for the mean and lambda 1 for the best: affine in the scaled return.
+            best = torch.tensor([returns.max() - returns.mean()]).float().clamp(min=1e-6)
+            steering.append(Normaliser(torch.zeros(1), scaling.scale / best))
+        self._returns = torch.stack(scaled).to(device)  # [L, N], scaled
+        self._steering = Normaliser.stack(steering).to(device)  # [L, 1]
+        batch = config.batch
+        self._streams = LaneStreams(
+            parts.keys,
+            {"row": lambda g, lane, steps: g.choice(windows[lane][0], size=(steps, batch))},
+            device,
+        )
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def _means(self, observations: Tensor, wanted: Tensor) -> Tensor:
+        """Mean actions ``[L, B, A]`` for scaled returns ``wanted [L, B]``."""
+        means: Tensor = self._actor(torch.cat([observations, wanted[..., None]], dim=-1))
+        return means
+
+    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
+        """Deployed actions ``[L, B, A]`` for ``proximity [L, B]``."""
+        wanted = (proximity - self._steering.mean) / self._steering.scale
+        return self._means(observations, wanted).clamp(-1.0, 1.0)
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One step up the likelihood on all lanes."""
+        index = self._streams.at(step)["row"]
+        means = self._means(self._data.observations(index), self._returns.gather(1, index))
+        log_std = self._head.log_std
+        error = self._data.actions(index) - means
+        density = -0.5 * (error / log_std.exp()).square() - log_std - 0.5 * np.log(2.0 * np.pi)
+        loss = -lanewise_mean(density.sum(dim=-1))
+        descend(self._optimizers["actor"], loss)
+        return {
+            "actor/loss": loss.detach(),
+            "actor/cloning_error": lanewise_mean(error.detach().square()),
+            "actor/saturated_share": saturation(means),
+            "actor/std": log_std.detach().exp().mean(dim=(1, 2)),
+        }
+
+    # -- what is deployed ---------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_networks(
+            replace(card, kind="clipped"),
+            {"actor": self._actor.affine()},
+            self._data.frame_scaling,
+            self._steering,
+        )

@@ -1,0 +1,83 @@
+"""Ensembles of action values: K critics a lane, all lanes and critics in one stack."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from components.networks.stacked import StackedMLP
+from components.networks.streams import spawn_generators
+
+__all__ = ["Critics", "soft_clipped_maximum"]
+
+
+class Critics(nn.Module):
+    """K state-action value networks for each of L lanes, stored as ``L * K`` lanes, lane-major.
+
+    Args:
+        keys: One random stream per lane.
+        observations: Width O, lambda included where the critic is given it.
+        actions: Width A.
+        hidden: Layer widths.
+        count: K.
+    """
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        observations: int,
+        actions: int,
+        hidden: Sequence[int],
+        count: int = 2,
+    ) -> None:
+        super().__init__()
+        self.count = count
+        of_each = [spawn_generators(keys, f"critic{number}") for number in range(count)]
+        generators = [of_each[number][lane] for lane in range(len(keys)) for number in range(count)]
+        self.stack = StackedMLP(generators, (observations + actions, *hidden, 1))
+
+    def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Values ``[L, K, B]`` of ``observations [L, B, O]`` and ``actions [L, B, A]``."""
+        pairs = torch.cat([observations, actions], dim=-1)
+        values: Tensor = self.stack(self._repeat(pairs))
+        return values.view(-1, self.count, values.shape[1])
+
+    def over_actions(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Values ``[L, K, B, N]`` of N actions ``[L, B, N, A]`` at every observation."""
+        values = self.stack.over_actions(self._repeat(observations), self._repeat(actions))
+        return values.view(-1, self.count, *actions.shape[1:3])
+
+    def errors(self, observations: Tensor, actions: Tensor, targets: Tensor) -> Tensor:
+        """Mean squared distance of every critic to ``targets [L, B]``: ``[L, K]``."""
+        errors: Tensor = self(observations, actions) - targets[:, None]
+        return errors.square().mean(dim=2)
+
+    def first(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The first critic's values ``[L, B]``, without computing the others."""
+        x = torch.cat([observations, actions], dim=-1)
+        *hidden, (weight, bias) = self.stack.affine()
+        for inner_weight, inner_bias in hidden:
+            x = torch.baddbmm(inner_bias[:: self.count], x, inner_weight[:: self.count]).relu_()
+        return torch.baddbmm(bias[:: self.count], x, weight[:: self.count]).squeeze(-1)
+
+    def first_network(self) -> list[tuple[Tensor, Tensor]]:
+        """Weights and biases of every lane's first critic."""
+        return [(w[:: self.count], b[:: self.count]) for w, b in self.stack.affine()]
+
+    def _repeat(self, x: Tensor) -> Tensor:
+        """The same input for all critics of a lane: ``[L, ...]`` to ``[L * K, ...]``."""
+        return x[:, None].expand(-1, self.count, *x.shape[1:]).flatten(0, 1)
+
+
+def soft_clipped_maximum(values: Tensor, weight: float) -> Tensor:
+    """Soft clipped double Q (BCQ, equation 13), then the best of N actions.
+
+    Args:
+        values: ``[L, K, B, N]``.
+        weight: Of the least critic against the greatest, action by action.
+
+    Returns:
+        ``[L, B]``.
+    """
+    mixed = weight * values.amin(dim=1) + (1.0 - weight) * values.amax(dim=1)
+    return mixed.amax(dim=-1)

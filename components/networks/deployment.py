@@ -1,0 +1,104 @@
+"""How deployed policies act, by name: from networks, observations and noise to actions.
+
+Deterministic policies are one network. BCQ and BEAR draw candidates at every state and let a critic
+choose; the first layer's product with the observation is computed once for all of them.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from components.networks.gaussian import LOG_STD_RANGE
+from components.networks.variational import LATENT_CLIP
+
+__all__ = ["KINDS", "Layers"]
+
+Layers = tuple[tuple[Tensor, Tensor], ...]
+"""Weights ``[P, in, out]`` and biases ``[P, 1, out]`` from input to output; ReLU in between."""
+
+Networks = Mapping[str, Layers]
+Act = Callable[[Networks, Tensor, Tensor | None, float], Tensor]
+
+
+def _apply(layers: Layers, x: Tensor) -> Tensor:
+    for weight, bias in layers[:-1]:
+        x = torch.baddbmm(bias, x, weight).relu_()
+    weight, bias = layers[-1]
+    return torch.baddbmm(bias, x, weight)
+
+
+def _apply_over(layers: Layers, x: Tensor, extra: Tensor) -> Tensor:
+    """A network on ``x [P, B, O]`` joined with each of ``extra [P, B, N, E]``."""
+    (weight, bias), width = layers[0], x.shape[-1]
+    seen = torch.baddbmm(bias, x, weight[:, :width])
+    joined = torch.bmm(extra.flatten(1, 2), weight[:, width:]).view(*extra.shape[:3], -1)
+    joined = joined.add_(seen[:, :, None]).flatten(1, 2)
+    return _apply(layers[1:], joined.relu_()).view(*extra.shape[:3], -1)
+
+
+def _favourite(critic: Layers, x: Tensor, candidates: Tensor) -> Tensor:
+    """The candidate ``[P, B, A]`` of greatest value among ``[P, B, N, A]``."""
+    values = _apply_over(critic, x, candidates).squeeze(-1)
+    best = values.nan_to_num(nan=-torch.inf).argmax(dim=-1)[..., None, None]
+    return candidates.gather(2, best.expand(-1, -1, 1, candidates.shape[-1])).squeeze(2)
+
+
+def _tanh(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:
+    return _apply(networks["actor"], x).tanh_()
+
+
+def _clipped(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:
+    return _apply(networks["actor"], x).clamp_(-1.0, 1.0)
+
+
+def _gaussian(networks: Networks, x: Tensor, noise: Tensor, perturbation: float) -> Tensor:
+    mean, log_std = _apply(networks["actor"], x).chunk(2, dim=-1)
+    std = log_std.clamp(*LOG_STD_RANGE).exp()
+    candidates = torch.tanh(mean[:, :, None] + std[:, :, None] * noise)
+    return _favourite(networks["critic"], x, candidates)
+
+
+def _perturbed(networks: Networks, x: Tensor, noise: Tensor, perturbation: float) -> Tensor:
+    latent = noise.clamp(-LATENT_CLIP, LATENT_CLIP)
+    generated = _apply_over(networks["decoder"], x, latent).tanh_()
+    shift = _apply_over(networks["actor"], x, generated).tanh_().mul_(perturbation)
+    return _favourite(networks["critic"], x, (generated + shift).clamp_(-1.0, 1.0))
+
+
+def _one_by_one(act: Callable[[Networks, Tensor, Tensor, float], Tensor]) -> Act:
+    """Policies in turn: the candidates of all of them at once would fill the memory."""
+
+    def each(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:
+        if noise is None:
+            raise ValueError("Candidates are drawn from noise; give it.")
+        chosen = []
+        for n in range(len(x)):
+            lane = slice(n, n + 1)
+            alone = {
+                role: tuple((weight[lane], bias[lane]) for weight, bias in layers)
+                for role, layers in networks.items()
+            }
+            chosen.append(act(alone, x[lane], noise[lane], perturbation))
+        return torch.cat(chosen)
+
+    return each
+
+
+KINDS: Final[Mapping[str, Act]] = MappingProxyType(
+    {
+        "tanh": _tanh,
+        "clipped": _clipped,
+        "gaussian_candidates": _one_by_one(_gaussian),
+        "perturbed_candidates": _one_by_one(_perturbed),
+    }
+)
+"""``act(networks, x [P, B, O], noise [P, B, N, E] or None, perturbation) -> [P, B, A]``.
+
+- ``tanh``: the tanh of the actor's output.
+- ``clipped``: the actor's output clipped to [-1, 1].
+- ``gaussian_candidates``: the critic's favourite of N actions of a squashed Gaussian actor (BEAR).
+- ``perturbed_candidates``: its favourite of N decoded actions, each shifted by the actor (BCQ).
+"""

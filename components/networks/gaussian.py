@@ -1,0 +1,94 @@
+"""Stochastic policies: a diagonal Gaussian squashed by tanh, on stacked lanes.
+
+``a = tanh(u)``, ``u ~ N(mean(s), std(s)^2)``; the density of ``a`` is that of ``u`` divided by the
+derivative of tanh, in the form that neither overflows nor loses digits for large ``u``:
+``log(1 - tanh(u)^2) = 2 (log 2 - u - softplus(-2 u))``.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from components.networks.stacked import StackedMLP
+from components.networks.streams import spawn_generators
+
+__all__ = ["LOG_STD_RANGE", "Sample", "TanhGaussian", "log_density", "raw_actions"]
+
+Sample = tuple[Tensor, Tensor, Tensor]
+"""Actions, their values before the tanh, ``[L, B, N, A]`` each, and log densities ``[L, B, N]``."""
+
+LOG_STD_RANGE = (-5.0, 2.0)
+_HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+
+
+def raw_actions(actions: Tensor, margin: float) -> Tensor:
+    """Inverse tanh of actions, after a clip that keeps it finite.
+
+    Logged actions often sit exactly on a bound, where the inverse is infinite.
+
+    Args:
+        actions: ``[...]`` in [-1, 1].
+        margin: Clip to [-1 + margin, 1 - margin].
+    """
+    return torch.atanh(actions.clamp(-1.0 + margin, 1.0 - margin))
+
+
+def log_density(mean: Tensor, log_std: Tensor, raw: Tensor) -> Tensor:
+    """Log density of ``tanh(raw)`` under the squashed Gaussian, summed over the last axis."""
+    standardised = (raw - mean) * torch.exp(-log_std)
+    gaussian = -0.5 * standardised.square() - log_std - _HALF_LOG_TWO_PI
+    squashing = 2.0 * (math.log(2.0) - raw - softplus(-2.0 * raw))
+    return (gaussian - squashing).sum(dim=-1)
+
+
+class TanhGaussian(nn.Module):
+    """L squashed Gaussian policies side by side.
+
+    Args:
+        keys: One random stream per lane.
+        purpose: Names the initial weights' stream.
+        sizes: Observation width, hidden widths, action width.
+        log_std_range: Bounds of the log standard deviation.
+        squash: Reach the bounds smoothly by tanh (BRAC) instead of clamping (SAC, CQL, BEAR).
+    """
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        purpose: str,
+        sizes: Sequence[int],
+        log_std_range: tuple[float, float] = LOG_STD_RANGE,
+        squash: bool = False,
+    ) -> None:
+        super().__init__()
+        self.low, self.high = log_std_range
+        self.squash = squash
+        self.stack = StackedMLP(spawn_generators(keys, purpose), (*sizes[:-1], 2 * sizes[-1]))
+
+    def forward(self, observations: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean before the tanh and log standard deviation, ``[L, B, A]`` each."""
+        mean, spread = self.stack(observations).chunk(2, dim=-1)
+        if self.squash:
+            return mean, self.low + 0.5 * (self.high - self.low) * (torch.tanh(spread) + 1.0)
+        return mean, spread.clamp(self.low, self.high)
+
+    @staticmethod
+    def draw(parameters: tuple[Tensor, Tensor], noise: Tensor) -> Sample:
+        """Sample by the reparameterisation ``u = mean + std * noise``.
+
+        Args:
+            parameters: What the forward pass returned.
+            noise: Standard normal ``[L, B, N, A]``, N actions per observation.
+        """
+        mean, log_std = (p[:, :, None] for p in parameters)
+        raw = mean + log_std.exp() * noise
+        return torch.tanh(raw), raw, log_density(mean, log_std, raw)
+
+    def mean_network(self) -> list[tuple[Tensor, Tensor]]:
+        """The layers that compute the mean: the last one without its second half."""
+        *hidden, (weight, bias) = self.stack.affine()
+        width = weight.shape[-1] // 2
+        return [*hidden, (weight[..., :width], bias[..., :width])]
