@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PEERS := .venv-peers
 
 # One thread per process, also for the tests' own process: spinning OpenMP threads of several
 # processes slow each other down a hundredfold.
@@ -10,7 +11,7 @@ export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark data test test-fast lint format bench ui clean
+.PHONY: help setup benchmark data test test-fast lint format bench peers ui clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,9 +51,17 @@ format: $(READY) ## Put the code into the common format
 bench: $(READY) ## Measure speed beside its peers
 	$(BIN)/python -m benchmarks
 
+$(PEERS)/.ready: benchmarks/peer-constraints.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint benchmarks/peer-constraints.txt torch d3rlpy
+	@touch $@
+
+peers: $(PEERS)/.ready ## Install d3rlpy beside this project, for the speed comparison
+
 ui: $(READY) ## Open the MLflow UI on this project's runs, at http://127.0.0.1:5000
 	$(BIN)/python -m flows.ui
 
 clean: ## Remove the environment and caches (never mlruns/)
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(PEERS) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,6 +1,6 @@
 """All speed measurements, one after the other: ``python -m benchmarks``, or ``make bench``."""
 
-from benchmarks import environment, lanes, pipeline, recurrent
+from benchmarks import environment, lanes, model_free, pipeline, recurrent
 from benchmarks.measure import machine
 
 __all__ = ["main"]
@@ -9,14 +9,19 @@ __all__ = ["main"]
 def main() -> None:
     """Print the machine and a Markdown table per benchmark, each as soon as it is known."""
     print(machine(), flush=True)
-    for title, report in {
+    reports = {
         "Industrial Benchmark": environment.report,
         "Five seeds as five lanes": lanes.report,
         "Recurrent transition ensemble": recurrent.report,
         "Pipeline": pipeline.report,
-    }.items():
+    }
+    if beside := model_free.available():
+        reports["Model-free learners beside d3rlpy"] = model_free.report
+    for title, report in reports.items():
         print(f"\n## {title}\n", flush=True)
         print(report(), flush=True)
+    if not beside:
+        print(f"\nSkipped the comparison with d3rlpy. {model_free.missing()}")
 
 
 if __name__ == "__main__":

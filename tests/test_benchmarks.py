@@ -1,17 +1,32 @@
 """The speed benchmarks run, compare like with like and print their tables; no speed is asserted."""
 
+import ast
+import json
 import os
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from benchmarks import __main__ as all_benchmarks
-from benchmarks import environment, lanes, measure, pipeline, recurrent
+from benchmarks import (
+    environment,
+    lanes,
+    measure,
+    model_free,
+    peer_d3rlpy,
+    pipeline,
+    recurrent,
+)
+from components.algorithms import ALGORITHMS
 from components.data.catalogue import DATASETS, generate
+from components.data.dataset import OfflineDataset
+from components.data.lanes import LaneData
 from components.models.recurrent_ensemble import RecurrentEnsembleConfig
+from components.networks import LaneStreams
 
 TINY = RecurrentEnsembleConfig(members=2, hidden=5, warm_up=4, horizon=6, batch=7)
 SETTINGS = {
@@ -119,15 +134,129 @@ def test_pipeline_table_and_that_it_leaves_a_tracking_server_alone(
     assert not list(tmp_path.iterdir())
 
 
-def test_all_benchmarks_are_printed_under_their_titles(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.fixture(scope="module")
+def log() -> OfflineDataset:
+    return generate(replace(DATASETS["mediocre-0.2"], trajectories=2), seed=0)
+
+
+def test_a_missing_peer_is_one_sentence_that_says_how_to_install_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    modules = (environment, lanes, recurrent, pipeline)
-    for module in modules:
+    # Neither is nothing at all a peer nor a Python that lacks d3rlpy, such as this one.
+    for peer in (tmp_path / "python", Path(sys.executable)):
+        monkeypatch.setattr(sys, "argv", ["model_free", "--peer", str(peer)])
+        with pytest.raises(SystemExit) as stopped:
+            model_free.main()
+        assert stopped.value.code == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err == (
+            f"There is no Python with d3rlpy at {peer}; `make peers` installs one in .venv-peers.\n"
+        )
+
+
+@pytest.mark.parametrize("algorithm", peer_d3rlpy.COUNTERPARTS)
+def test_the_clock_runs_past_the_warm_up_and_starts_with_a_draw_of_random_numbers(
+    algorithm: str, log: OfflineDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[int] = []
+    draws: list[int] = []  # steps that begin a block of random numbers
+    config = ALGORITHMS[algorithm].Config(hidden=(8,), batch=4)
+    settings = {"hidden": config.hidden, "batch": config.batch}
+    if hasattr(config, "vae_hidden"):
+        settings["vae_hidden"] = (8,)
+    at, fill = LaneStreams.at, LaneStreams._fill
+
+    def watched_at(self: LaneStreams, step: int) -> dict[str, torch.Tensor]:
+        steps.append(step)
+        return at(self, step)
+
+    def watched_fill(self: LaneStreams, number: int) -> None:
+        draws.append(steps[-1])
+        fill(self, number)
+
+    monkeypatch.setattr(LaneStreams, "at", watched_at)
+    monkeypatch.setattr(LaneStreams, "_fill", watched_fill)
+    assert model_free.own_seconds(algorithm, log, 2, 3, settings) > 0
+    assert steps == list(range(steps[0], steps[0] + model_free.WARM_UP + 3))
+    assert draws == [steps[0], steps[model_free.WARM_UP]]
+    longest = max(getattr(config, name, 0) for name in ("warm_up", "cloning"))
+    assert steps[0] >= longest * config.updates
+
+
+def test_our_side_is_measured_in_a_process_of_its_own(log: OfflineDataset, tmp_path: Path) -> None:
+    log.write(tmp_path / "log")
+    command = model_free.own_command(tmp_path / "log", "ddpg", lanes=2, updates=1, threads=1)
+    answer = model_free.run(command, threads=1)
+    assert answer["seconds"] > 0
+    assert answer["torch"] == torch.__version__
+    with pytest.raises(RuntimeError, match=r"exit code 1: .*there is no dataset in"):
+        model_free.run(model_free.own_command(tmp_path, "ddpg", 1, 1, 1), threads=1)
+
+
+def test_the_peer_gets_our_transitions_as_whole_histories(
+    log: OfflineDataset, tmp_path: Path
+) -> None:
+    model_free.write_transitions(log, 1e-3, tmp_path / "log.npz")
+    with np.load(tmp_path / "log.npz", allow_pickle=False) as stored:
+        assert stored["observations"].shape == (log.transitions, 180)
+        rows = np.array([0, 17, log.transitions - 1])
+        batch = LaneData([log], torch.device("cpu"), 1e-3).batch(torch.from_numpy(rows)[None])
+        assert np.array_equal(stored["observations"][rows], batch.observations[0])
+        assert np.array_equal(stored["actions"][rows], batch.actions[0])
+        assert np.array_equal(stored["rewards"][rows], batch.rewards[0])
+        assert np.array_equal(1.0 - stored["terminals"][rows], batch.continues[0])
+        assert np.array_equal(np.flatnonzero(stored["ends"]) + 1, log.episode_starts[1:])
+
+
+@pytest.mark.parametrize("algorithm", peer_d3rlpy.COUNTERPARTS)
+def test_the_peer_gets_our_settings(algorithm: str) -> None:
+    config = ALGORITHMS[algorithm].Config()
+    command = model_free.peer_command(Path("python"), Path("log.npz"), algorithm, 7, threads=1)
+    assert command[:2] == ["python", "-I"]
+    settings = json.loads(command[4])
+    assert settings == {"algorithm": algorithm, **json.loads(json.dumps(asdict(config)))}
+    told = peer_d3rlpy.arguments(algorithm, settings)
+    assert (told["batch_size"], told["gamma"]) == (config.batch, config.discount)
+    widths = peer_d3rlpy.layers(algorithm, settings)
+    assert widths["actor"] == widths["critic"] == list(config.hidden)
+    assert widths.get("imitator") == (
+        list(config.vae_hidden) if hasattr(config, "vae_hidden") else None
+    )
+
+
+def test_the_peer_script_needs_nothing_of_this_project() -> None:
+    tree = ast.parse(Path(peer_d3rlpy.__file__).read_text(encoding="utf-8"))
+    names = [n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+    names += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+    foreign = {name.split(".")[0] for name in names} - sys.stdlib_module_names
+    assert foreign == {"d3rlpy", "numpy", "torch"}
+
+
+def test_model_free_table_relates_seed_updates_to_those_of_the_peer() -> None:
+    seconds = {"ddpg": [[1.0, 2.0, 9.0], [4.0] * 3, [5.0] * 3]}
+    header, *rows = cells(model_free.table(seconds, {"ddpg": (100, 40, 50)}, "d3rlpy 2"))
+    assert header == ["algorithm", "program", "updates/s", "seed-updates/s", "times d3rlpy"]
+    assert rows == [
+        ["ddpg", "ours, 1 lane", "50.0", "50.0", "5.00"],
+        ["ddpg", "ours, 5 lanes", "10.0", "50.0", "5.00"],
+        ["ddpg", "d3rlpy 2, 1 seed", "10.0", "10.0", "1.00"],
+    ]
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_all_benchmarks_are_printed_under_their_titles(
+    beside: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modules = (environment, lanes, recurrent, pipeline, *[model_free] * beside)
+    for module in (*modules, model_free):
         monkeypatch.setattr(module, "report", lambda name=module.__name__: f"table of {name}")
+    monkeypatch.setattr(model_free, "available", lambda: beside)
     all_benchmarks.main()
     printed = capsys.readouterr().out
     assert "PyTorch" in printed.splitlines()[0]
     tables = [f"table of {module.__name__}" for module in modules]
     assert [line for line in printed.splitlines() if line.startswith("table of")] == tables
     assert printed.count("\n## ") == len(modules)
+    skipped = f"Skipped the comparison with d3rlpy. {model_free.missing()}"
+    assert (skipped in printed.splitlines()) is not beside

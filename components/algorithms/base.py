@@ -21,13 +21,14 @@ from components.networks.checkpoint import (
     with_prefix,
 )
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Learner
+from components.networks.training import Learner, adam
 
 __all__ = [
     "Ingredients",
     "PolicyLearner",
     "Scalars",
     "StackedLearner",
+    "adam_each",
     "descend",
     "first_rows",
     "saturation",
@@ -103,6 +104,13 @@ class Scalars(nn.Module):
     def __init__(self, lanes: int, initial: float) -> None:
         super().__init__()
         self.value = nn.Parameter(torch.full((lanes,), initial))
+
+
+def adam_each(
+    networks: Mapping[str, nn.Module], rates: Mapping[str, float]
+) -> dict[str, torch.optim.Optimizer]:
+    """An Adam optimiser for each network that is given a learning rate."""
+    return {name: adam(list(networks[name].parameters()), rate) for name, rate in rates.items()}
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
 from components.data.lanes import Batch
 from components.networks import (
     Critics,
@@ -41,7 +41,6 @@ from components.networks import (
     spawn_generators,
 )
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 from components.networks.variational import ConditionalVAE
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
@@ -111,10 +110,8 @@ class Learner(StackedLearner):
             "actor_target": self._actor_target,
             "critics_target": self._critics_target,
         }
-        self._optimizers = {
-            name: adam(list(self._networks[name].parameters()), config.learning_rate)
-            for name in ("vae", "actor", "critics")
-        }
+        learned = ("vae", "actor", "critics")
+        self._optimizers = adam_each(self._networks, dict.fromkeys(learned, config.learning_rate))
         latent = self._vae.latent
         self._streams = LaneStreams(
             keys,

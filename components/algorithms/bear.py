@@ -39,6 +39,7 @@ from components.algorithms.base import (
     Ingredients,
     Scalars,
     StackedLearner,
+    adam_each,
     descend,
     saturation,
 )
@@ -53,7 +54,6 @@ from components.networks import (
     soft_clipped_maximum,
 )
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 from components.networks.variational import ConditionalVAE
 
 __all__ = [
@@ -167,10 +167,7 @@ class Learner(StackedLearner):
             "actor": config.actor_learning_rate,
             "log_multiplier": config.multiplier_learning_rate,
         }
-        self._optimizers = {
-            name: adam(list(self._networks[name].parameters()), rate)
-            for name, rate in rates.items()
-        }
+        self._optimizers = adam_each(self._networks, rates)
         latent, batch, matched = self._vae.latent, config.batch, config.matched_actions
         self._streams = LaneStreams(
             keys,

@@ -35,6 +35,7 @@ from components.algorithms.base import (
     Ingredients,
     Scalars,
     StackedLearner,
+    adam_each,
     descend,
     saturation,
 )
@@ -49,7 +50,6 @@ from components.networks import (
 )
 from components.networks.gaussian import Sample, log_density, raw_actions
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -131,10 +131,7 @@ class Learner(StackedLearner):
             "actor": config.actor_learning_rate,
             "critics": config.learning_rate,
         }
-        self._optimizers = {
-            name: adam(list(self._networks[name].parameters()), rate)
-            for name, rate in rates.items()
-        }
+        self._optimizers = adam_each(self._networks, rates)
         several = normal_draw(config.batch, config.divergence_actions, acted)
         self._streams = LaneStreams(
             keys,

@@ -40,6 +40,7 @@ from components.algorithms.base import (
     Ingredients,
     Scalars,
     StackedLearner,
+    adam_each,
     descend,
     saturation,
 )
@@ -54,7 +55,6 @@ from components.networks import (
 )
 from components.networks.gaussian import log_density, raw_actions
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -117,20 +117,16 @@ class Learner(StackedLearner):
             "critics_target": self._critics_target,
             "log_temperature": self._log_temperature,
         }
-        if config.lagrange is not None:
-            self._log_multiplier = Scalars(self.lanes, 0.0).to(device)
-            self._networks["log_multiplier"] = self._log_multiplier
         rates = {
             "actor": config.actor_learning_rate,
             "log_temperature": config.actor_learning_rate,
             "critics": config.learning_rate,
-            "log_multiplier": config.learning_rate,
         }
-        self._optimizers = {
-            name: adam(list(self._networks[name].parameters()), rate)
-            for name, rate in rates.items()
-            if name in self._networks
-        }
+        if config.lagrange is not None:
+            self._log_multiplier = Scalars(self.lanes, 0.0).to(device)
+            self._networks["log_multiplier"] = self._log_multiplier
+            rates["log_multiplier"] = config.learning_rate
+        self._optimizers = adam_each(self._networks, rates)
         batch, tried = config.batch, (config.batch, config.tried_actions, acted)
         self._streams = LaneStreams(
             keys,

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
 from components.data.lanes import Batch
 from components.networks import (
     Critics,
@@ -36,7 +36,6 @@ from components.networks import (
     spawn_generators,
 )
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -91,10 +90,8 @@ class Learner(StackedLearner):
             "actor_target": self._actor_target,
             "critic_target": self._critic_target,
         }
-        self._optimizers = {
-            "actor": adam(list(self._actor.parameters()), config.learning_rate),
-            "critic": adam(list(self._critic.parameters()), config.learning_rate),
-        }
+        learned = ("actor", "critic")
+        self._optimizers = adam_each(self._networks, dict.fromkeys(learned, config.learning_rate))
         self._streams = LaneStreams(parts.keys, {"row": data.row_draw(config.batch)}, device)
 
     # -- losses -----------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
 from components.data.lanes import Batch
 from components.networks import (
     Critics,
@@ -34,7 +34,6 @@ from components.networks import (
     spawn_generators,
 )
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -96,10 +95,8 @@ class Learner(StackedLearner):
             "actor_target": self._actor_target,
             "critics_target": self._critics_target,
         }
-        self._optimizers = {
-            "actor": adam(list(self._actor.parameters()), config.learning_rate),
-            "critics": adam(list(self._critics.parameters()), config.learning_rate),
-        }
+        learned = ("actor", "critics")
+        self._optimizers = adam_each(self._networks, dict.fromkeys(learned, config.learning_rate))
         self._streams = LaneStreams(parts.keys, self._draws(), device)
 
     def _draws(self) -> dict[str, Draw]:
