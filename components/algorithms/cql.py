@@ -145,12 +145,14 @@ class Learner(StackedLearner):
 
     def _actor_loss(
         self, batch: Batch, noise: Tensor, step: int
-    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Actor's loss, mean log density of its actions, ``[L]`` each, and metrics."""
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Step the temperature; actor's loss ``[L]`` at the new one, and metrics."""
         config = self._config
         mean, log_std = self._actor(batch.observations)
         actions, _, density = self._actor.draw((mean, log_std), noise)
         entropy_cost = lanewise_mean(density)
+        surplus = entropy_cost.detach() - actions.shape[-1]  # log density above target entropy's
+        descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
         loss = self._log_temperature.value.detach().exp() * entropy_cost
         metrics = {"actor/saturated_share": saturation(actions)}
         if step < config.cloning * config.updates:
@@ -160,7 +162,7 @@ class Learner(StackedLearner):
             values = self._critics(batch.observations, actions.squeeze(2)).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
-        return loss, entropy_cost.detach(), metrics | {"actor/loss": loss.detach()}
+        return loss, metrics | {"actor/loss": loss.detach()}
 
     @torch.no_grad()
     def _tried(self, batch: Batch, drawn: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -197,10 +199,8 @@ class Learner(StackedLearner):
         """One update of temperature, actor, critics and targets on all lanes."""
         config, drawn = self._config, self._streams.at(step)
         batch = self._data.batch(drawn["row"])
-        actor_loss, entropy_cost, metrics = self._actor_loss(batch, drawn["actor"], step)
+        actor_loss, metrics = self._actor_loss(batch, drawn["actor"], step)
         descend(self._optimizers["actor"], actor_loss)
-        surplus = entropy_cost - self._data.action_width  # log density above target entropy's
-        descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
         errors, gaps = self._critic_losses(batch, *self._tried(batch, drawn))
         critic_loss = self._critic_step(errors, gaps)
         polyak_update(self._critics_target, self._critics, config.target_rate)
