@@ -205,7 +205,7 @@ def test_actor_clones_at_first_and_climbs_the_values_later() -> None:
         loss, metrics = made._actor_loss(batch, drawn["actor"], step)
         assert ("critic/value_magnitude" not in metrics) == clones
         for lane in range(2):
-            # The temperature has moved first: Adam's steps down an unchanging gradient are the rate.
+            # The temperature moves first: Adam's steps down an unchanging gradient are the rate.
             moved = made._log_temperature.value[lane].item()
             assert abs(moved - before[lane]) == pytest.approx(rate, rel=1e-2)
             temperature = math.exp(moved)
