@@ -212,7 +212,7 @@ class Learner(StackedLearner):
             "actor/multiplier": multiplier,
             "actor/saturated_share": saturation(actions),
         }
-        if step >= config.warm_up * config.updates:
+        if step >= round(config.warm_up * config.updates):
             values = self._critics(batch.observations, actions[:, :, 0]).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())

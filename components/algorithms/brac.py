@@ -175,7 +175,7 @@ class Learner(StackedLearner):
             "actor/divergence": divergence.detach(),
             "actor/saturated_share": saturation(drawn[0]),
         }
-        if step >= config.warm_up * config.updates:
+        if step >= round(config.warm_up * config.updates):
             values = self._critics(batch.observations, drawn[0][:, :, 0]).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())

@@ -155,7 +155,7 @@ class Learner(StackedLearner):
         descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
         loss = self._log_temperature.value.detach().exp() * entropy_cost
         metrics = {"actor/saturated_share": saturation(actions)}
-        if step < config.cloning * config.updates:
+        if step < round(config.cloning * config.updates):
             logged = raw_actions(batch.actions, ACTION_MARGIN)
             loss = loss - lanewise_mean(log_density(mean, log_std, logged))
         else:

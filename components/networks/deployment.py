@@ -35,8 +35,10 @@ def _apply_over(layers: Layers, x: Tensor, extra: Tensor) -> Tensor:
     (weight, bias), width = layers[0], x.shape[-1]
     seen = torch.baddbmm(bias, x, weight[:, :width])
     joined = torch.bmm(extra.flatten(1, 2), weight[:, width:]).view(*extra.shape[:3], -1)
-    joined = joined.add_(seen[:, :, None]).flatten(1, 2)
-    return _apply(layers[1:], joined.relu_()).view(*extra.shape[:3], -1)
+    x = joined.add_(seen[:, :, None]).flatten(1, 2)
+    if len(layers) > 1:
+        x = _apply(layers[1:], x.relu_())
+    return x.view(*extra.shape[:3], -1)
 
 
 def _favourite(critic: Layers, x: Tensor, candidates: Tensor) -> Tensor:

@@ -144,3 +144,13 @@ def test_first_rows_stay_inside_their_episodes() -> None:
     short = make_log(episodes=2, steps=4)
     assert first_rows(short, 2).tolist() == [0, 1, 4, 5]
     assert first_rows(short, 9).tolist() == list(range(8))
+
+
+@pytest.mark.parametrize("name", ["bcq", "bear"])
+def test_candidates_are_judged_by_critics_without_hidden_layers_too(name: str) -> None:
+    made = learner(name, [LOG], [0], hidden=())
+    run(made, 2)
+    policy = made.policy(policy_card(LOG))
+    actions = policy.act(torch.full((1, 4, 3, 6), 50.0), None, candidate_noise(policy, 4))
+    assert actions.shape == (1, 4, 3)
+    assert actions.isfinite().all()
