@@ -173,7 +173,7 @@ def run(command: Sequence[str], threads: int) -> dict[str, Any]:
     """
     environment = os.environ | {
         "OMP_NUM_THREADS": str(threads),
-        "OMP_WAIT_POLICY": "PASSIVE",
+        "OMP_WAIT_POLICY": "ACTIVE",  # one process at a time: no other to disturb by spinning
         "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
         "MALLOC_MMAP_THRESHOLD_": str(32 * 2**20),
     }

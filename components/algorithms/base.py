@@ -31,6 +31,7 @@ __all__ = [
     "adam_each",
     "descend",
     "first_rows",
+    "gather_gradients",
     "saturation",
 ]
 
@@ -111,6 +112,12 @@ def adam_each(
 ) -> dict[str, torch.optim.Optimizer]:
     """An Adam optimiser for each network that is given a learning rate."""
     return {name: adam(list(networks[name].parameters()), rate) for name, rate in rates.items()}
+
+
+def gather_gradients(whole: nn.Module, parts: Sequence[nn.Module]) -> None:
+    """Give a stack the gradients of its parts, see :func:`~components.networks.lane_groups`."""
+    for parameter, *own in zip(whole.parameters(), *(p.parameters() for p in parts), strict=True):
+        parameter.grad = torch.cat([p.grad for p in own if p.grad is not None])
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

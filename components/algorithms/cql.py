@@ -42,6 +42,7 @@ from components.algorithms.base import (
     StackedLearner,
     adam_each,
     descend,
+    gather_gradients,
     saturation,
 )
 from components.data.lanes import Batch
@@ -49,6 +50,7 @@ from components.networks import (
     Critics,
     LaneStreams,
     TanhGaussian,
+    lane_groups,
     lanewise_mean,
     normal_draw,
     polyak_update,
@@ -110,6 +112,9 @@ class Learner(StackedLearner):
         self._actor = TanhGaussian(keys, "actor", (seen, *config.hidden, acted)).to(device)
         self._critics = Critics(keys, seen, acted, config.hidden).to(device)
         self._critics_target = copy.deepcopy(self._critics).requires_grad_(False)
+        # Thirty-one actions a state make activations that no processor's cache holds for all lanes.
+        groups = self.lanes if device.type == "cpu" else 1
+        self._groups = lane_groups(self._critics, self.lanes, groups)
         self._log_temperature = Scalars(self.lanes, 0.0).to(device)
         self._networks = {
             "actor": self._actor,
@@ -180,11 +185,11 @@ class Learner(StackedLearner):
         return targets, tried, torch.cat([uniform_density, here_density, ahead_density], dim=2)
 
     def _critic_losses(
-        self, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
+        self, critics: Critics, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Mean squared errors and conservative terms of both critics, ``[L, 2]`` each."""
         actions = torch.cat([batch.actions[:, :, None], tried], dim=2)
-        values = self._critics.over_actions(batch.observations, actions)  # [L, 2, B, 1 + 3N]
+        values = critics.over_actions(batch.observations, actions)  # [L, 2, B, 1 + 3N]
         logged = values[..., 0]
         errors = (logged - targets[:, None]).square().mean(dim=2)
         if self._config.variant == "h":
@@ -193,37 +198,52 @@ class Learner(StackedLearner):
             pushed = torch.logsumexp(values, dim=-1)
         return errors, self._config.weight * (pushed - logged).mean(dim=2)
 
+    def _weigh(self, errors: Tensor, gaps: Tensor, lanes: slice) -> Tensor:
+        """Loss ``[L]`` of the critics of some lanes."""
+        allowed = self._config.lagrange
+        if allowed is None:
+            return (errors + gaps).sum(dim=1)
+        multiplier = self._log_multiplier.value.detach()[lanes].exp().clamp(max=LARGEST_MULTIPLIER)
+        return (errors + multiplier[:, None] * (gaps - allowed)).sum(dim=1)
+
     # -- update -----------------------------------------------------------------------------
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update of temperature, actor, critics and targets on all lanes."""
-        config, drawn = self._config, self._streams.at(step)
+        drawn = self._streams.at(step)
         batch = self._data.batch(drawn["row"])
         actor_loss, metrics = self._actor_loss(batch, drawn["actor"], step)
         descend(self._optimizers["actor"], actor_loss)
-        errors, gaps = self._critic_losses(batch, *self._tried(batch, drawn))
-        critic_loss = self._critic_step(errors, gaps)
-        polyak_update(self._critics_target, self._critics, config.target_rate)
-        return metrics | {
-            "critic/loss": critic_loss.detach(),
-            "critic/squared_error": errors.detach().sum(dim=1),
-            "critic/conservative_gap": gaps.detach().mean(dim=1),
-            "actor/temperature": self._log_temperature.value.detach().exp(),
-        }
+        metrics |= self._critic_step(batch, *self._tried(batch, drawn))
+        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        return metrics | {"actor/temperature": self._log_temperature.value.detach().exp()}
 
-    def _critic_step(self, errors: Tensor, gaps: Tensor) -> Tensor:
-        """Step the critics, and the multiplier where one is learned; returns their loss ``[L]``."""
-        allowed = self._config.lagrange
-        if allowed is None:
-            loss = (errors + gaps).sum(dim=1)
-            descend(self._optimizers["critics"], loss)
-            return loss
-        multiplier = self._log_multiplier.value.exp().clamp(max=LARGEST_MULTIPLIER)
-        loss = (errors + multiplier.detach()[:, None] * (gaps - allowed)).sum(dim=1)
-        descend(self._optimizers["critics"], loss)
-        ascent = -multiplier * (gaps.detach() - allowed).mean(dim=1)
-        descend(self._optimizers["log_multiplier"], ascent)
-        return loss
+    def _critic_step(
+        self, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
+    ) -> dict[str, Tensor]:
+        """Step the critics, and the multiplier where one is learned."""
+        parts = []
+        for lanes, critics in self._groups:
+            critics.zero_grad(set_to_none=True)
+            errors, gaps = self._critic_losses(
+                critics, batch.lanes(lanes), targets[lanes], tried[lanes], density[lanes]
+            )
+            loss = self._weigh(errors, gaps, lanes)
+            loss.sum().backward()
+            parts.append((loss.detach(), errors.detach(), gaps.detach()))
+        gather_gradients(self._critics, [critics for _, critics in self._groups])
+        self._optimizers["critics"].step()
+        loss, errors, gaps = (torch.cat(each) for each in zip(*parts, strict=True))
+        if self._config.lagrange is not None:
+            multiplier = self._log_multiplier.value.exp().clamp(max=LARGEST_MULTIPLIER)
+            ascent = -multiplier * (gaps - self._config.lagrange).mean(dim=1)
+            descend(self._optimizers["log_multiplier"], ascent)
+        return {
+            "critic/loss": loss,
+            "critic/squared_error": errors.sum(dim=1),
+            "critic/conservative_gap": gaps.mean(dim=1),
+            "critic/target_mean": lanewise_mean(targets),
+        }
 
     # -- what is deployed ---------------------------------------------------------------------
 

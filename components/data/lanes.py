@@ -6,7 +6,7 @@ of stacked histories never exists.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,10 @@ class Batch:
     rewards: Tensor
     next_observations: Tensor
     continues: Tensor
+
+    def lanes(self, lanes: slice) -> "Batch":
+        """Some of the lanes."""
+        return Batch(**{f.name: getattr(self, f.name)[lanes] for f in fields(self)})
 
 
 class LaneData:

@@ -5,6 +5,7 @@ from components.networks.gaussian import TanhGaussian
 from components.networks.stacked import (
     StackedLinear,
     StackedMLP,
+    lane_groups,
     lanewise_mean,
     polyak_update,
     select_lanes,
@@ -26,6 +27,7 @@ __all__ = [
     "StackedMLP",
     "TanhGaussian",
     "lane_generator",
+    "lane_groups",
     "lane_key",
     "lanewise_mean",
     "normal_draw",

@@ -10,15 +10,25 @@ Initial weights are PyTorch's default for linear layers, uniform in +-1/sqrt(fan
 from that lane's own generator.
 """
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-__all__ = ["StackedLinear", "StackedMLP", "lanewise_mean", "polyak_update", "select_lanes"]
+__all__ = [
+    "StackedLinear",
+    "StackedMLP",
+    "lane_groups",
+    "lanewise_mean",
+    "polyak_update",
+    "select_lanes",
+]
 
+Module = TypeVar("Module", bound=nn.Module)
 Activation = Callable[[Tensor], Tensor]
 
 
@@ -106,6 +116,31 @@ class StackedMLP(nn.Module):
 def lanewise_mean(x: Tensor) -> Tensor:
     """Mean over everything but the lane axis: ``[L, ...] -> [L]``."""
     return x.flatten(start_dim=1).mean(dim=1)
+
+
+def lane_groups(module: Module, lanes: int, groups: int) -> list[tuple[slice, Module]]:
+    """The same stack in parts: consecutive lanes, their parameters sharing the stack's memory.
+
+    On a processor, a loss whose activations of all lanes together overflow the cache is computed
+    faster part by part. What the parts' parameters become, the stack's are.
+
+    Args:
+        module: A stack; every parameter's first axis is a multiple of ``lanes``.
+        lanes: L.
+        groups: At most so many parts of equal size, give or take one lane.
+
+    Returns:
+        Lanes and stack of every part.
+    """
+    parts = []
+    for lanes_of_part in torch.arange(lanes).chunk(groups):
+        first, last = int(lanes_of_part[0]), int(lanes_of_part[-1]) + 1
+        part = copy.deepcopy(module)
+        for whole, own in zip(module.parameters(), part.parameters(), strict=True):
+            copies = whole.shape[0] // lanes
+            own.data = whole.data[first * copies : last * copies]
+        parts.append((slice(first, last), part))
+    return parts
 
 
 @torch.no_grad()

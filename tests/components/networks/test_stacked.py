@@ -9,6 +9,8 @@ from torch import nn
 from components.networks import (
     StackedLinear,
     StackedMLP,
+    lane_generator,
+    lane_groups,
     lane_key,
     lanewise_mean,
     polyak_update,
@@ -107,3 +109,20 @@ def test_select_lanes_with_twins(lanes: Sequence[int]) -> None:
 def test_select_lanes_names_what_holds_no_lanes(tensor: torch.Tensor) -> None:
     with pytest.raises(ValueError, match=r"odd has shape .* holds no 3 lanes"):
         select_lanes({"odd": tensor}, [0], of=3)
+
+
+def test_parts_of_a_stack_share_its_memory() -> None:
+    stack = StackedMLP([lane_generator(key) for key in range(6)], (3, 4, 1))  # three lanes of two
+    parts = lane_groups(stack, 3, 2)
+    assert [lanes for lanes, _ in parts] == [slice(0, 2), slice(2, 3)]
+    with torch.no_grad():
+        for parameter in stack.parameters():
+            parameter.mul_(2.0)
+    x = torch.randn(6, 5, 3, generator=torch.Generator().manual_seed(0))
+    together = torch.cat([parts[0][1](x[:4]), parts[1][1](x[4:])])
+    # products over four and two lanes may sum in another order than over six
+    torch.testing.assert_close(together, stack(x))
+    with torch.no_grad():
+        parts[1][1].affine()[0][0].zero_()
+    assert (stack.affine()[0][0][4:] == 0.0).all()
+    assert (stack.affine()[0][0][:4] != 0.0).all()
