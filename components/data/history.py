@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-__all__ = ["gather_history", "history_rows"]
+__all__ = ["gather_history", "history_rows", "newest_first"]
 
 Rows = TypeVar("Rows", NDArray[np.int64], torch.Tensor)
 Values = TypeVar("Values", NDArray[np.float32], torch.Tensor)
@@ -52,3 +52,32 @@ def gather_history(frames: Values, newest: Rows, first: Rows, length: int) -> Va
     gathered: Values = frames[history_rows(newest, first, length)]
     stacked: Values = gathered.reshape(*gathered.shape[:-2], length * frames.shape[-1])
     return stacked
+
+
+def newest_first(
+    episode_starts: NDArray[np.int64], length: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """An order of frames in which every history of ``length`` frames is one run of rows.
+
+    Every episode is laid out from its last frame to its first, which is repeated: a history then
+    reads on into the repetitions where the episode had fewer frames.
+
+    Args:
+        episode_starts: `[E + 1]` first transition of each episode, and their number N.
+        length: L, the longest history wanted.
+
+    Returns:
+        `[N + E + E (L - 1)]` which frame stands in each row, and `[N + E]` the row of each frame.
+    """
+    episodes = np.arange(len(episode_starts) - 1)
+    first, last = episode_starts[:-1] + episodes, episode_starts[1:] + episodes
+    order = np.concatenate(
+        [
+            np.concatenate([np.arange(newest, oldest - 1, -1), np.full(length - 1, oldest)])
+            for oldest, newest in zip(first, last, strict=True)
+        ]
+    )
+    place = np.empty(last[-1] + 1, dtype=np.int64)
+    # Written backwards, so that a repeated frame keeps the row of its first appearance.
+    place[order[::-1]] = np.arange(len(order))[::-1]
+    return order, place

@@ -1,8 +1,8 @@
 """Datasets as lane-first tensors on a device: every lane draws from its own dataset.
 
-Lanes of the same dataset share its frames. Frames are normalised once, when they are loaded; a
-history of H frames is a gather over the narrow frame table, newest frame first, and the wide table
-of stacked histories never exists.
+Lanes of the same dataset share its frames. Frames are normalised once, when they are loaded, and
+laid out newest first, so that a history of H frames is one run of memory in the narrow frame table;
+the wide table of stacked histories never exists.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from components.data.dataset import OfflineDataset
-from components.data.history import gather_history
+from components.data.history import newest_first
 from components.data.normaliser import Normaliser
 
 __all__ = ["Batch", "LaneData"]
@@ -75,19 +75,21 @@ class LaneData:
 
         frame_offset = transition_offset = 0
         offsets, tables = {}, []
-        newest, first, actions, rewards, continues = [], [], [], [], []
+        newest, actions, rewards, continues = [], [], [], []
         for data in distinct:
             offsets[data.card.digest] = transition_offset
-            tables.append(scalers[data.card.digest].apply(torch.from_numpy(np.array(data.frames))))
-            newest.append(torch.from_numpy(data.frame_rows() + frame_offset))
-            first.append(torch.from_numpy(data.first_rows() + frame_offset))
+            # One frame more than a history, for the next observation's newest one.
+            order, place = newest_first(data.episode_starts, self.history + 1)
+            frames = torch.from_numpy(np.array(data.frames[order]))
+            tables.append(scalers[data.card.digest].apply(frames))
+            newest.append(torch.from_numpy(place[data.frame_rows()] + frame_offset))
             actions.append(torch.from_numpy(np.array(data.actions)))
             rewards.append(torch.from_numpy(np.array(data.rewards)))
             continues.append(1.0 - torch.from_numpy(np.array(data.terminated, dtype=np.float32)))
-            frame_offset += len(data.frames)
+            frame_offset += len(order)
             transition_offset += data.transitions
         self._frames = torch.cat(tables).to(device)
-        self._newest, self._first = torch.cat(newest).to(device), torch.cat(first).to(device)
+        self._newest = torch.cat(newest).to(device)
         self._actions, self._rewards = torch.cat(actions).to(device), torch.cat(rewards).to(device)
         self._continues = torch.cat(continues).to(device)
         self._base = torch.tensor([offsets[d.card.digest] for d in datasets], device=device)[
@@ -111,7 +113,7 @@ class LaneData:
     def batch(self, index: Tensor) -> Batch:
         """Gather transitions ``index [L, B]``, counted within each lane's dataset."""
         flat = index + self._base
-        window = self._history(self._newest[flat] + 1, self._first[flat], self.history + 1)
+        window = self._history(self._newest[flat] - 1, self.history + 1)
         actions, rewards = self._actions[flat], self._rewards[flat]
         return Batch(
             observations=window[:, :, self.frame_width :],
@@ -124,15 +126,17 @@ class LaneData:
     def observations(self, index: Tensor) -> Tensor:
         """Normalised histories ``[L, B, O]`` of transitions ``index [L, B]``."""
         flat = index + self._base
-        return self._history(self._newest[flat], self._first[flat], self.history)
+        return self._history(self._newest[flat], self.history)
 
     def actions(self, index: Tensor) -> Tensor:
         """Logged actions ``[L, B, A]`` of transitions ``index [L, B]``."""
         return self._actions[index + self._base]
 
-    def _history(self, newest: Tensor, first: Tensor, length: int) -> Tensor:
-        """Normalised histories ``[L, B, length * F]`` ending in the frame rows ``newest``."""
-        return gather_history(self._frames, newest, first, length)
+    def _history(self, newest: Tensor, length: int) -> Tensor:
+        """Normalised histories ``[L, B, length * F]`` that begin with the table rows ``newest``."""
+        rows, width = self._frames.shape
+        windows = self._frames.as_strided((rows - length + 1, length * width), (width, 1))
+        return windows.index_select(0, newest.flatten()).view(*newest.shape, -1)
 
     def denormalise_history(self, observations: Tensor) -> Tensor:
         """Raw frames ``[L, B, H, F]`` of normalised histories ``[L, B, O]``."""

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from components.data.history import gather_history, history_rows
+from components.data.history import gather_history, history_rows, newest_first
 
 LENGTHS = (1, 5, 2)  # transitions of three episodes; frames are one more each
 FRAMES = np.random.default_rng(0).random((sum(LENGTHS) + len(LENGTHS), 4)).astype(np.float32)
@@ -44,3 +44,15 @@ def test_batches_of_any_shape() -> None:
     newest = torch.tensor([[2, 3], [4, 5], [6, 9]])
     first = torch.tensor([[2, 2], [2, 2], [2, 8]])
     assert gather_history(torch.from_numpy(FRAMES), newest, first, 3).shape == (3, 2, 12)
+
+
+def test_newest_first_makes_every_history_one_run_of_rows() -> None:
+    starts = np.array([0, 3, 4, 9])  # episodes of 4, 2 and 6 frames
+    frames = np.arange(12, dtype=np.float32)[:, None]
+    order, place = newest_first(starts, 4)
+    assert order.tolist() == [3, 2, 1, 0, 0, 0, 0, 5, 4, 4, 4, 4, 11, 10, 9, 8, 7, 6, 6, 6, 6]
+    first = np.repeat([0, 4, 6], [4, 2, 6])
+    expected = gather_history(frames, np.arange(12), first, 4)
+    laid_out = frames[order, 0]
+    for row in range(12):
+        assert laid_out[place[row] : place[row] + 4].tolist() == expected[row].tolist()
