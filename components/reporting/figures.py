@@ -3,6 +3,7 @@
 The layout of thesis figure 6.5. Everything is drawn from stored summaries.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,11 +57,12 @@ def proximity_figure(
             color=f"C{number}",
             linestyle="--",
             linewidth=1.2,
-            label=summary["algorithm"],
+            label=f"{summary['algorithm']} ({summary['points'][0]['mean']:.0f})",
         )
     upper.axhline(
         behaviour_return, color="0.4", linestyle=":", linewidth=1.2, label="logged behaviour"
     )
+    upper.set_ylim(_limits(curves, fixed, behaviour_return))
     upper.set_title(dataset)
     upper.set_ylabel("discounted 100-step return")
     upper.legend(fontsize="small", frameon=False)
@@ -72,6 +74,24 @@ def proximity_figure(
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.25, linewidth=0.5)
     return figure
+
+
+def _limits(
+    curves: Sequence[Summary], fixed: Sequence[Summary], behaviour_return: float
+) -> tuple[float, float]:
+    """Returns shown: the curves, the behaviour, and fixed policies not far below them.
+
+    A diverged learner would squeeze everything else into a line; its mean stands in the legend.
+    """
+    bands = [(p["mean"], p["seed_std"]) for s in curves for p in s["points"]]
+    shown = [mean + side * band for mean, band in bands for side in (-1, 1)]
+    shown = [behaviour_return, *filter(math.isfinite, shown)]
+    low, high = min(shown), max(shown)
+    far = low - (high - low)
+    near = [s["points"][0]["mean"] for s in fixed if s["points"][0]["mean"] >= far]
+    low, high = min([low, *near]), max([high, *near])
+    margin = 0.05 * (high - low) or 1.0
+    return low - margin, high + margin
 
 
 def save_figure(figure: Figure, path: Path) -> None:

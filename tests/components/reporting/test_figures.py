@@ -21,7 +21,7 @@ def test_adaptive_policies_are_curves_and_the_others_dashed_lines(tmp_path: Path
     assert set(dashed.get_ydata()) == {-77.0}
     assert set(dotted.get_ydata()) == {-76.5}
     texts = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert texts == ["lion (mean ± sd of seeds)", "td3_bc", "logged behaviour"]
+    assert texts == ["lion (mean ± sd of seeds)", "td3_bc (-77)", "logged behaviour"]
     assert "return" in upper.get_ylabel()
     assert "λ" in lower.get_xlabel()
     assert "distance" in lower.get_ylabel()
@@ -38,6 +38,18 @@ def test_band_is_the_spread_of_seeds() -> None:
     [band] = figure.axes[0].collections
     heights = band.get_paths()[0].vertices[:, 1]
     assert (heights.min(), heights.max()) == (-92.0, -68.0)
+
+
+def test_a_diverged_policy_does_not_squeeze_the_others() -> None:
+    far = TD3_BC | {"algorithm": "ddpg", "points": [point(None) | {"mean": -960.0}]}
+    figure = proximity_figure("toy", [LION, TD3_BC, far], -76.5)
+    assert figure is not None
+    upper = figure.axes[0]
+    low, high = upper.get_ylim()
+    assert -100.0 < low < -92.0  # the band's lower end, and a margin
+    assert -68.0 < high < -60.0
+    texts = [text.get_text() for text in upper.get_legend().get_texts()]
+    assert "ddpg (-960)" in texts
 
 
 def test_nothing_to_draw_without_adaptive_policies() -> None:
