@@ -4,6 +4,7 @@ Nothing here calls the code under test; weights alone are read from it.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from torch import Tensor
@@ -15,6 +16,7 @@ __all__ = [
     "floats",
     "gaussian_parameters",
     "network",
+    "slopes",
     "squashed_log_density",
     "unsquashed_log_density",
 ]
@@ -60,3 +62,16 @@ def squashed_log_density(mean: Array, std: Array, action: Array, margin: float) 
     """The same at an action, after a clip to [-1 + margin, 1 - margin]."""
     clipped = [min(max(float(a), -1.0 + margin), 1.0 - margin) for a in action]
     return unsquashed_log_density(mean, std, np.array([math.atanh(a) for a in clipped]))
+
+
+def slopes(loss: Callable[[], float], numbers: Tensor) -> list[float]:
+    """Central differences of a loss in every one of some double numbers."""
+    found, step = [], 1e-6
+    for n in range(len(numbers)):
+        sides = []
+        for shift in (step, -2.0 * step):
+            numbers[n] += shift
+            sides.append(loss())
+        numbers[n] += step
+        found.append((sides[0] - sides[1]) / (2.0 * step))
+    return found

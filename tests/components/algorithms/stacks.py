@@ -3,14 +3,15 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 
 from components.algorithms import ALGORITHMS
 from components.algorithms.base import Ingredients
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
+from components.data.lanes import Batch, LaneData
 from components.networks.streams import lane_key
-from tests.components.synthetic import CPU, random_ensemble, random_policy
+from tests.components.synthetic import CPU, make_log, random_ensemble, random_policy, relabelled
 
 SMALL: dict[str, dict[str, Any]] = {
     "bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
@@ -84,3 +85,27 @@ def learner(
 def run(made: Any, updates: int, start: int = 0) -> list[dict[str, torch.Tensor]]:
     """Updates in a row; returns their metrics."""
     return [made.update(step) for step in range(start, start + updates)]
+
+
+def with_a_terminal() -> OfflineDataset:
+    """The small machine's log; its second episode ends in a terminal state, the others by time."""
+    log = make_log()
+    terminated = np.zeros(log.transitions, dtype=np.bool_)
+    terminated[int(log.episode_starts[2]) - 1] = True
+    return relabelled(log, terminated=terminated, truncated=log.truncated & ~terminated)
+
+
+def scattered(made: Any, scale: float, *names: str) -> Any:
+    """The same learner with some networks, or all, moved at random, so that no two agree."""
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for name in names or made._networks:
+            for parameter in made._networks[name].parameters():
+                parameter.add_(scale * torch.randn(parameter.shape, generator=generator))
+    return made
+
+
+def drawn_by(made: Any, step: int = 0) -> tuple[Batch, dict[str, torch.Tensor]]:
+    """Transitions and random numbers of an update."""
+    drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
+    return made._data.batch(drawn["row"]), drawn

@@ -1,7 +1,6 @@
 """BCQ: candidates, targets and losses against plain loops, and a world where it must stay home."""
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,8 +12,15 @@ from components.algorithms.base import descend
 from components.data.dataset import OfflineDataset
 from components.data.lanes import Batch
 from components.networks import StackedMLP
-from tests.components.algorithms.plain import critic, floats, network
-from tests.components.algorithms.stacks import config, learner, run
+from tests.components.algorithms.plain import critic, floats, network, slopes
+from tests.components.algorithms.stacks import (
+    config,
+    drawn_by,
+    learner,
+    run,
+    scattered,
+    with_a_terminal,
+)
 from tests.components.synthetic import make_log, policy_card, relabelled
 
 STEPS, BATCH = 40, 4
@@ -23,29 +29,11 @@ CLOSE = {"rel": 1e-4, "abs": 1e-5}
 BOLD = {"learning_rate": 0.05, "perturbation": 0.4}  # so that order and perturbation show
 
 
-def with_a_terminal() -> OfflineDataset:
-    """The second episode ends in a terminal state, the others in a time-out."""
-    log = make_log()
-    terminated = np.zeros(log.transitions, dtype=np.bool_)
-    terminated[2 * STEPS - 1] = True
-    return relabelled(log, terminated=terminated, truncated=log.truncated & ~terminated)
-
-
 def small(lanes: int = 2, **changes: object) -> bcq.Learner:
     """Learners whose networks are all different, targets included."""
     changes = {"batch": BATCH} | changes
-    made = learner("bcq", [with_a_terminal()] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for module in made._networks.values():
-            for parameter in module.parameters():
-                parameter.add_(0.2 * torch.randn(parameter.shape, generator=generator))
-    return made
-
-
-def drawn_by(made: bcq.Learner, step: int = 0) -> tuple[Batch, dict[str, Tensor]]:
-    drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
-    return made._data.batch(drawn["row"]), drawn
+    logs = [with_a_terminal()] * lanes
+    return scattered(learner("bcq", logs, list(range(lanes)), **changes), 0.2)
 
 
 def generated(made: bcq.Learner, lane: int, seen: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -85,19 +73,6 @@ def expected_actor_loss(made: bcq.Learner, batch: Batch, noise: Tensor, lane: in
         action = perturbed(made, made._actor, lane, seen, action)
         values.append(critic(made._critics.stack, 2 * lane, seen, action))
     return -float(np.mean(values))
-
-
-def slopes(loss: Callable[[], float], numbers: Tensor) -> list[float]:
-    """Central differences of a loss in every one of some double numbers."""
-    found, step = [], 1e-6
-    for n in range(len(numbers)):
-        sides = []
-        for shift in (step, -2.0 * step):
-            numbers[n] += shift
-            sides.append(loss())
-        numbers[n] += step
-        found.append((sides[0] - sides[1]) / (2.0 * step))
-    return found
 
 
 def first_gradient(made: bcq.Learner, name: str, bias: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,10 +11,16 @@ from torch import Tensor
 from components.algorithms import bear
 from components.algorithms.base import descend
 from components.algorithms.bear import mean_discrepancy
-from components.data.dataset import OfflineDataset
 from components.data.lanes import Batch
-from tests.components.algorithms.plain import critic, floats, gaussian_parameters, network
-from tests.components.algorithms.stacks import config, learner, run
+from tests.components.algorithms.plain import critic, floats, gaussian_parameters, network, slopes
+from tests.components.algorithms.stacks import (
+    config,
+    drawn_by,
+    learner,
+    run,
+    scattered,
+    with_a_terminal,
+)
 from tests.components.synthetic import make_log, policy_card, relabelled
 
 STEPS, BATCH = 40, 4
@@ -25,29 +30,11 @@ CLOSE = {"rel": 1e-4, "abs": 1e-5}
 BOLD = {"learning_rate": 0.05, "actor_learning_rate": 0.05, "raw_limit": 0.6, "warm_up": 0.0}
 
 
-def with_a_terminal() -> OfflineDataset:
-    """The second episode ends in a terminal state, the others in a time-out."""
-    log = make_log()
-    terminated = np.zeros(log.transitions, dtype=np.bool_)
-    terminated[2 * STEPS - 1] = True
-    return relabelled(log, terminated=terminated, truncated=log.truncated & ~terminated)
-
-
 def small(lanes: int = 2, **changes: object) -> bear.Learner:
     """Learners whose networks are all different, targets included."""
     changes = {"batch": BATCH} | changes
-    made = learner("bear", [with_a_terminal()] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for module in made._networks.values():
-            for parameter in module.parameters():
-                parameter.add_(0.3 * torch.randn(parameter.shape, generator=generator))
-    return made
-
-
-def drawn_by(made: bear.Learner, step: int = 0) -> tuple[Batch, dict[str, Tensor]]:
-    drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
-    return made._data.batch(drawn["row"]), drawn
+    logs = [with_a_terminal()] * lanes
+    return scattered(learner("bear", logs, list(range(lanes)), **changes), 0.3)
 
 
 def raw_samples(made: bear.Learner, lane: int, seen: np.ndarray, noise: Tensor) -> np.ndarray:
@@ -131,19 +118,6 @@ def expected_actor_loss(
     multiplier = math.exp(made._log_multiplier.value[lane].item())
     value = expected_value(made, batch, drawn, lane)
     return multiplier * (apart - made._config.threshold) - value
-
-
-def slopes(loss: Callable[[], float], numbers: Tensor) -> list[float]:
-    """Central differences of a loss in every one of some double numbers."""
-    found, step = [], 1e-6
-    for n in range(len(numbers)):
-        sides = []
-        for shift in (step, -2.0 * step):
-            numbers[n] += shift
-            sides.append(loss())
-        numbers[n] += step
-        found.append((sides[0] - sides[1]) / (2.0 * step))
-    return found
 
 
 def first_gradient(made: bear.Learner, name: str, bias: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from tests.components.algorithms.plain import (
     squashed_log_density,
     unsquashed_log_density,
 )
-from tests.components.algorithms.stacks import config, learner, run
+from tests.components.algorithms.stacks import config, learner, run, scattered
 from tests.components.synthetic import make_log, relabelled
 
 STEPS = 40
@@ -39,12 +39,7 @@ def on_the_bounds() -> OfflineDataset:
 def small(lanes: int = 2, **changes: object) -> brac.Learner:
     """Learners whose networks are all different, targets included."""
     made = learner("brac", [on_the_bounds()] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for name in ("actor", "behaviour", "critics_target"):
-            for parameter in made._networks[name].parameters():
-                parameter.add_(0.3 * torch.randn(parameter.shape, generator=generator))
-    return made
+    return scattered(made, 0.3, "actor", "behaviour", "critics_target")
 
 
 def rows(made: brac.Learner, *numbers: int) -> Batch:

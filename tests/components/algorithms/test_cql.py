@@ -18,7 +18,7 @@ from tests.components.algorithms.plain import (
     squashed_log_density,
     unsquashed_log_density,
 )
-from tests.components.algorithms.stacks import config, learner
+from tests.components.algorithms.stacks import config, learner, scattered
 from tests.components.synthetic import make_log, relabelled
 
 STEPS, BATCH, TRIED = 40, 3, 4
@@ -39,12 +39,7 @@ def small(lanes: int = 2, **changes: object) -> cql.Learner:
     """Learners whose networks are all different, targets included."""
     changes = {"batch": BATCH, "tried_actions": TRIED} | changes
     made = learner("cql", [on_the_bounds()] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for name in ("actor", "critics", "critics_target"):
-            for parameter in made._networks[name].parameters():
-                parameter.add_(0.2 * torch.randn(parameter.shape, generator=generator))
-    return made
+    return scattered(made, 0.2, "actor", "critics", "critics_target")
 
 
 def prepared(made: cql.Learner) -> tuple[Batch, dict[str, Tensor]]:

@@ -13,7 +13,7 @@ from components.data.dataset import OfflineDataset
 from components.data.lanes import Batch
 from components.networks import StackedMLP
 from tests.components.algorithms.plain import critic, floats, network
-from tests.components.algorithms.stacks import config, learner, run
+from tests.components.algorithms.stacks import config, learner, run, scattered
 from tests.components.synthetic import make_log, policy_card, relabelled
 
 STEPS = 40
@@ -30,12 +30,7 @@ def with_some_terminals() -> OfflineDataset:
 def small(lanes: int = 2, **changes: object) -> ddpg.Learner:
     """Learners whose networks are all different, targets included."""
     made = learner("ddpg", [with_some_terminals()] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for module in made._networks.values():
-            for parameter in module.parameters():
-                parameter.add_(0.2 * torch.randn(parameter.shape, generator=generator))
-    return made
+    return scattered(made, 0.2)
 
 
 def plain_network(stack: StackedMLP, lane: int) -> nn.Sequential:

@@ -9,7 +9,7 @@ import torch
 from components.algorithms import lambda_td3_bc
 from components.data.lanes import Batch
 from tests.components.algorithms.plain import critic, floats, network
-from tests.components.algorithms.stacks import config, learner, run
+from tests.components.algorithms.stacks import config, learner, run, scattered
 from tests.components.synthetic import make_log, policy_card, relabelled
 
 STEPS = 40
@@ -22,12 +22,7 @@ def small(lanes: int = 2, **changes: object) -> lambda_td3_bc.Learner:
     terminated[2 * STEPS - 1] = True  # the second episode ends in a terminal, the others in time
     log = relabelled(log, terminated=terminated)
     made = learner("lambda_td3_bc", [log] * lanes, list(range(lanes)), **changes)
-    generator = torch.Generator().manual_seed(0)
-    with torch.no_grad():
-        for name in ("actor_target", "critics_target"):
-            for parameter in made._networks[name].parameters():
-                parameter.add_(0.3 * torch.randn(parameter.shape, generator=generator))
-    return made
+    return scattered(made, 0.3, "actor_target", "critics_target")
 
 
 def batch_at(made: lambda_td3_bc.Learner, rows: list[int], proximity: list[float]) -> Batch:

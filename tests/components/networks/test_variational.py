@@ -1,7 +1,6 @@
 """The autoencoder of actions: its loss by hand, its clamps, and that training improves it."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from torch import Tensor
 from components.algorithms.base import descend
 from components.networks.training import adam
 from components.networks.variational import LATENT_CLIP, ConditionalVAE, divergence_from_prior
-from tests.components.algorithms.plain import floats, network
+from tests.components.algorithms.plain import floats, network, slopes
 from tests.components.synthetic import keys
 
 SEEN, ACTED, BATCH = 3, 2, 4
@@ -54,19 +53,6 @@ def losses_by_hand(
         for m, s in zip(mean, std, strict=True):
             divergence += divergence_by_formula(m, s) / (BATCH * LATENT)
     return error, divergence
-
-
-def slopes(loss: Callable[[], float], numbers: Tensor) -> list[float]:
-    """Central differences of a loss in every one of some double numbers."""
-    found, step = [], 1e-5
-    for n in range(len(numbers)):
-        sides = []
-        for shift in (step, -2.0 * step):
-            numbers[n] += shift
-            sides.append(loss())
-        numbers[n] += step
-        found.append((sides[0] - sides[1]) / (2.0 * step))
-    return found
 
 
 @pytest.mark.parametrize(("mean", "log_std"), [(0.0, 0.0), (0.8, 0.0), (0.0, -1.5), (-1.3, 0.4)])
