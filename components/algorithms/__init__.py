@@ -4,8 +4,7 @@ A module of an algorithm offers ``Config`` (frozen dataclass), ``Learner`` (a st
 ``NEEDS`` (fitted models by name), ``TAKES_LAMBDA``, ``FRAME_EPSILON`` (added to feature deviations
 when frames are scaled) and ``VERSION`` (to be raised whenever a change of its code can change
 results). A learner with updates before its budget, such as BRAC's cloning, counts them in a
-property
-``Config.preparation``.
+property ``Config.preparation``.
 """
 
 from collections.abc import Mapping

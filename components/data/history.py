@@ -1,21 +1,16 @@
-"""Observation histories as a gather over frames stored once.
+"""Observation histories from frames stored once.
 
 An observation is the last L frames, newest first; before the episode had L frames, its first frame
 stands for the missing ones. Rows of frames are found by arithmetic, so a batch of histories is one
-gather, on whatever device the frames live. Pure functions; each takes NumPy arrays or torch
-tensors and returns the same kind.
+gather; where many batches are drawn, the frames are laid out so that it is one run of rows.
 """
 
-from typing import TypeVar
-
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 __all__ = ["gather_history", "history_rows", "newest_first"]
 
-Rows = TypeVar("Rows", NDArray[np.int64], torch.Tensor)
-Values = TypeVar("Values", NDArray[np.float32], torch.Tensor)
+Rows = NDArray[np.int64]
 
 
 def history_rows(newest: Rows, first: Rows, length: int) -> Rows:
@@ -29,34 +24,29 @@ def history_rows(newest: Rows, first: Rows, length: int) -> Rows:
     Returns:
         `[..., L]` rows, newest first, never before the episode's first frame.
     """
-    if isinstance(newest, torch.Tensor) and isinstance(first, torch.Tensor):
-        lags = torch.arange(length, device=newest.device)
-        return torch.maximum(newest[..., None] - lags, first[..., None])
-    lags_back = np.asarray(newest)[..., None] - np.arange(length)
-    rows: NDArray[np.int64] = np.maximum(lags_back, np.asarray(first)[..., None])
+    rows: Rows = np.maximum(newest[..., None] - np.arange(length), first[..., None])
     return rows
 
 
-def gather_history(frames: Values, newest: Rows, first: Rows, length: int) -> Values:
+def gather_history(
+    frames: NDArray[np.float32], newest: Rows, first: Rows, length: int
+) -> NDArray[np.float32]:
     """Histories flattened frame by frame, newest first.
 
     Args:
         frames: `[rows, F]`.
-        newest: `[...]` rows, on the device of the frames.
+        newest: `[...]` rows.
         first: `[...]` rows.
         length: L.
 
     Returns:
         `[..., L * F]`; values k F ... k F + F - 1 are the frame of lag k.
     """
-    gathered: Values = frames[history_rows(newest, first, length)]
-    stacked: Values = gathered.reshape(*gathered.shape[:-2], length * frames.shape[-1])
-    return stacked
+    gathered = frames[history_rows(newest, first, length)]
+    return gathered.reshape(*gathered.shape[:-2], length * frames.shape[-1])
 
 
-def newest_first(
-    episode_starts: NDArray[np.int64], length: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def newest_first(episode_starts: NDArray[np.int64], length: int) -> tuple[Rows, Rows]:
     """An order of frames in which every history of ``length`` frames is one run of rows.
 
     Every episode is laid out from its last frame to its first, which is repeated: a history then

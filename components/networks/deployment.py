@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from components.networks.gaussian import LOG_STD_RANGE
+from components.networks.stacked import first_layer_over_actions
 from components.networks.variational import LATENT_CLIP
 
 __all__ = ["KINDS", "Layers"]
@@ -32,10 +33,7 @@ def _apply(layers: Layers, x: Tensor) -> Tensor:
 
 def _apply_over(layers: Layers, x: Tensor, extra: Tensor) -> Tensor:
     """A network on ``x [P, B, O]`` joined with each of ``extra [P, B, N, E]``."""
-    (weight, bias), width = layers[0], x.shape[-1]
-    seen = torch.baddbmm(bias, x, weight[:, :width])
-    joined = torch.bmm(extra.flatten(1, 2), weight[:, width:]).view(*extra.shape[:3], -1)
-    x = joined.add_(seen[:, :, None]).flatten(1, 2)
+    x = first_layer_over_actions(*layers[0], x, extra)
     if len(layers) > 1:
         x = _apply(layers[1:], x.relu_())
     return x.view(*extra.shape[:3], -1)

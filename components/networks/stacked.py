@@ -22,6 +22,7 @@ from torch import Tensor, nn
 __all__ = [
     "StackedLinear",
     "StackedMLP",
+    "first_layer_over_actions",
     "lane_groups",
     "lanewise_mean",
     "polyak_update",
@@ -97,10 +98,7 @@ class StackedMLP(nn.Module):
         Returns:
             ``[L, B, N, out]``.
         """
-        (weight, bias), width = self.affine()[0], observations.shape[-1]
-        seen = torch.baddbmm(bias, observations, weight[:, :width])
-        x = torch.bmm(actions.flatten(1, 2), weight[:, width:])
-        x = x.view(*actions.shape[:3], -1).add_(seen[:, :, None]).flatten(1, 2)
+        x = first_layer_over_actions(*self.affine()[0], observations, actions)
         if len(self.layers) > 1:
             x = self._from_layer(1, self._activation(x))
         return x.view(*actions.shape[:3], -1)
@@ -111,6 +109,23 @@ class StackedMLP(nn.Module):
             x = self._activation(layer(x))
         out: Tensor = last(x)
         return out
+
+
+def first_layer_over_actions(
+    weight: Tensor, bias: Tensor, observations: Tensor, actions: Tensor
+) -> Tensor:
+    """A first layer before its activation, ``[L, B * N, H]``, see :meth:`StackedMLP.over_actions`.
+
+    Args:
+        weight: ``[L, O + A, H]``.
+        bias: ``[L, 1, H]``.
+        observations: ``[L, B, O]``.
+        actions: ``[L, B, N, A]``.
+    """
+    width = observations.shape[-1]
+    seen = torch.baddbmm(bias, observations, weight[:, :width])
+    x = torch.bmm(actions.flatten(1, 2), weight[:, width:])
+    return x.view(*actions.shape[:3], -1).add_(seen[:, :, None]).flatten(1, 2)
 
 
 def lanewise_mean(x: Tensor) -> Tensor:

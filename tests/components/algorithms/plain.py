@@ -13,6 +13,7 @@ from components.networks import StackedMLP
 
 __all__ = [
     "critic",
+    "discrepancy_by_loops",
     "floats",
     "gaussian_parameters",
     "network",
@@ -75,3 +76,19 @@ def slopes(loss: Callable[[], float], numbers: Tensor) -> list[float]:
         numbers[n] += step
         found.append((sides[0] - sides[1]) / (2.0 * step))
     return found
+
+
+def discrepancy_by_loops(x: Array, y: Array, kernel: str, sigma: float) -> float:
+    """Of two samples ``[N, A]`` and ``[M, A]`` at one state."""
+
+    def mean_kernel(u: Array, v: Array) -> float:
+        total = 0.0
+        for a in u:
+            for b in v:  # every pair, also of a point with itself
+                apart = 0.0
+                for p, q in zip(a, b, strict=True):
+                    apart += abs(p - q) if kernel == "laplacian" else (p - q) ** 2
+                total += math.exp(-apart / (2.0 * sigma))
+        return total / (len(u) * len(v))
+
+    return math.sqrt(mean_kernel(x, x) + mean_kernel(y, y) - 2.0 * mean_kernel(x, y) + 1e-6)

@@ -10,9 +10,15 @@ from torch import Tensor
 
 from components.algorithms import bear
 from components.algorithms.base import descend
-from components.algorithms.bear import mean_discrepancy
 from components.data.lanes import Batch
-from tests.components.algorithms.plain import critic, floats, gaussian_parameters, network, slopes
+from tests.components.algorithms.plain import (
+    critic,
+    discrepancy_by_loops,
+    floats,
+    gaussian_parameters,
+    network,
+    slopes,
+)
 from tests.components.algorithms.stacks import (
     config,
     drawn_by,
@@ -48,22 +54,6 @@ def raw_generated(made: bear.Learner, lane: int, seen: np.ndarray, noise: Tensor
     """Samples of the autoencoder before the tanh."""
     inputs = [np.concatenate([seen, np.clip(floats(z), -0.5, 0.5)]) for z in noise]
     return network(made._vae.decoder, lane, np.array(inputs))
-
-
-def discrepancy_by_loops(x: np.ndarray, y: np.ndarray, kernel: str, sigma: float) -> float:
-    """Of two samples ``[N, A]`` and ``[M, A]`` at one state."""
-
-    def mean_kernel(u: np.ndarray, v: np.ndarray) -> float:
-        total = 0.0
-        for a in u:
-            for b in v:  # every pair, also of a point with itself
-                apart = 0.0
-                for p, q in zip(a, b, strict=True):
-                    apart += abs(p - q) if kernel == "laplacian" else (p - q) ** 2
-                total += math.exp(-apart / (2.0 * sigma))
-        return total / (len(u) * len(v))
-
-    return math.sqrt(mean_kernel(x, x) + mean_kernel(y, y) - 2.0 * mean_kernel(x, y) + 1e-6)
 
 
 def expected_targets(made: bear.Learner, batch: Batch, noise: Tensor, lane: int) -> list[float]:
@@ -136,41 +126,6 @@ def moved(made: bear.Learner, before: dict[str, Tensor]) -> set[str]:
         for name, old in before.items()
         if "optimizer" not in name and not torch.equal(after[name], old)
     }
-
-
-# -- the discrepancy ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("sigma", [0.3, 20.0])
-@pytest.mark.parametrize("kernel", ["laplacian", "gaussian"])
-def test_discrepancy_by_loops(kernel: str, sigma: float) -> None:
-    generator = torch.Generator().manual_seed(0)
-    x = torch.randn(2, 3, 4, 2, generator=generator, dtype=torch.float64)
-    y = 0.5 + 2.0 * torch.randn(2, 3, 5, 2, generator=generator, dtype=torch.float64)
-    found = mean_discrepancy(x, y, kernel, sigma)
-    assert found.shape == (2, 3)
-    for lane, i in np.ndindex(2, 3):
-        expected = discrepancy_by_loops(floats(x)[lane, i], floats(y)[lane, i], kernel, sigma)
-        assert found[lane, i].item() == pytest.approx(expected, rel=1e-9)  # double
-
-
-def test_discrepancy_of_two_points_by_hand() -> None:
-    x, y = torch.zeros(1, 1, 1, 2), torch.tensor([[[[3.0, -1.0]]]])
-    # distances 3 + 1 and 9 + 1, over 2 sigma = 4
-    for kernel, exponent in (("laplacian", -1.0), ("gaussian", -2.5)):
-        expected = math.sqrt(1.0 + 1.0 - 2.0 * math.exp(exponent) + 1e-6)
-        found = mean_discrepancy(x, y, kernel, 2.0)
-        assert found.item() == pytest.approx(expected, rel=1e-6)  # float32
-
-
-@pytest.mark.parametrize("kernel", ["laplacian", "gaussian"])
-def test_equal_samples_leave_the_root_differentiable(kernel: str) -> None:
-    x = torch.randn(1, 2, 4, 3, generator=torch.Generator().manual_seed(0))
-    y = x.flip(2).clone().requires_grad_()
-    found = mean_discrepancy(x, y, kernel, 20.0)
-    # 1e-3, with the rounding of means near 1 in float32 beside 1e-6
-    assert found.tolist()[0] == pytest.approx([1e-3, 1e-3], rel=0.2)
-    assert torch.autograd.grad(found.sum(), y)[0].isfinite().all()
 
 
 # -- targets, losses, updates -------------------------------------------------------------------
