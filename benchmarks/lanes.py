@@ -52,12 +52,10 @@ def program(
         settings: Differences from the learner's default configuration.
     """
     module = ALGORITHMS[algorithm]
-    needs = module.NEEDS
     parts = Ingredients(
         data=LaneData([dataset] * len(seeds), device, module.FRAME_EPSILON),
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
-        behaviour_policies=[_behaviour(dataset)] * len(seeds) * ("behaviour_policy" in needs),
-        recurrent_ensembles=[_ensemble(dataset)] * len(seeds) * ("recurrent_ensemble" in needs),
+        models={name: [_MODELS[name](dataset)] * len(seeds) for name in module.NEEDS},
     )
     learner: Learner = module.Learner(module.Config(**settings), parts)
     return learner
@@ -91,6 +89,11 @@ def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:
         -limit,
         limit,
     )
+
+
+_MODELS: Mapping[str, Callable[[OfflineDataset], object]] = MappingProxyType(
+    {"behaviour_policy": _behaviour, "recurrent_ensemble": _ensemble}
+)
 
 
 def _updates(learners: Sequence[Learner], count: int) -> Callable[[], None]:

@@ -231,7 +231,7 @@ def _check(config: DictConfig) -> Settings:
             name: _build(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
             for name, fields in values["dataset"].items()
         }
-        for group, known in (("algorithm", _algorithm_configs()), ("model", MODELS)):
+        for group, known in (("algorithm", _algorithm_configs()), ("model", _model_configs())):
             values[group] = {
                 name: _build(known[name], f"{group}.{name}", fields)
                 for name, fields in values[group].items()
@@ -256,6 +256,10 @@ def _check(config: DictConfig) -> Settings:
 
 def _algorithm_configs() -> Mapping[str, type]:
     return {name: module.Config for name, module in ALGORITHMS.items()}
+
+
+def _model_configs() -> Mapping[str, type]:
+    return {name: kind.config for name, kind in MODELS.items()}
 
 
 def _check_snapshots(settings: Settings) -> None:

@@ -22,20 +22,17 @@ from components.data.catalogue import DatasetSpec, generate
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.evaluation.real import EvaluationConfig, evaluate_policies
-from components.models.behaviour_policy import BehaviourPolicyConfig, fit_behaviour_policies
-from components.models.recurrent_ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
-from components.models.recurrent_fit import fit_recurrent_ensemble
+from components.models import MODELS
+from components.models.supervised import Monitor
 from components.networks.policy import Policy
 from components.networks.streams import lane_key
-from components.networks.training import Curves
 from flows.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 
 __all__ = [
     "aggregate",
     "evaluate",
-    "fit_behaviour_policy",
-    "fit_transition_ensemble",
+    "fit_model",
     "generate_dataset",
     "train",
 ]
@@ -120,50 +117,25 @@ def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
         _note_dataset(job, dataset)
 
 
-def fit_behaviour_policy(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Model fitting: `policy/` holds the clone of the logged behaviour."""
+def fit_model(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Model fitting: `model/` holds the fitted model of the job's kind."""
     for job in jobs:
+        kind = MODELS[job.config["model"]]
         dataset = _open_dataset(job)
-        policies, metrics, curves = fit_behaviour_policies(
-            [dataset],
-            _tuples(BehaviourPolicyConfig, job.config["model"]),
-            [lane_key(dataset.card.name, "behaviour_policy", job.config["seed"])],
-            torch.device(context.device),
-            context.work / f"{job.key}.safetensors",
-            context.progress,
-        )
-        (job.out / "policy").mkdir()
-        policies[0].save(job.out / "policy")
-        _write_json(job.out / "metrics.json", metrics[0])
-        _write_curves(job.out / "curves.npz", curves.of_lane(0))
-        _note_dataset(job, dataset)
-
-
-def fit_transition_ensemble(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Model fitting: `ensemble.safetensors` holds the recurrent transition ensemble."""
-    for job in jobs:
-        dataset = _open_dataset(job)
-        ensemble, metrics, curves = fit_recurrent_ensemble(
+        fit = kind.fit(
             dataset,
-            RecurrentEnsembleConfig(**job.config["model"]),
-            lane_key(dataset.card.name, "recurrent_ensemble", job.config["seed"]),
+            _tuples(kind.config, job.config["settings"]),
+            lane_key(dataset.card.name, job.config["model"], job.config["seed"]),
             torch.device(context.device),
             context.work / f"{job.key}.safetensors",
-            context.progress,
+            Monitor(context.progress, context.validated),
         )
-        ensemble.save(job.out / "ensemble.safetensors")
-        _write_json(job.out / "metrics.json", metrics)
-        _write_curves(job.out / "curves.npz", _by_network(curves, ensemble.members))
+        (job.out / "model").mkdir()
+        fit.model.save(job.out / "model")
+        loss = {"validation_loss": fit.validation_loss}
+        _write_json(job.out / "metrics.json", loss | dict(fit.metrics))
+        _write_curves(job.out / "curves.npz", fit.curves)
         _note_dataset(job, dataset)
-
-
-def _by_network(curves: Curves, members: int) -> dict[str, tuple[list[int], list[float]]]:
-    names = [f"{target}{k}" for target in ("fatigue", "consumption") for k in range(members)]
-    return {
-        f"{metric}/{name}": series
-        for lane, name in enumerate(names)
-        for metric, series in curves.of_lane(lane).items()
-    }
 
 
 def train(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -180,16 +152,10 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
             lane_key(d.card.name, algorithm, j.config["seed"])
             for d, j in zip(datasets, jobs, strict=True)
         ],
-        behaviour_policies=[
-            _read(job, "behaviour_policy", Policy.load, "policy")
-            for job in jobs
-            if "behaviour_policy" in module.NEEDS
-        ],
-        recurrent_ensembles=[
-            _read(job, "recurrent_ensemble", RecurrentEnsemble.load, "ensemble.safetensors")
-            for job in jobs
-            if "recurrent_ensemble" in module.NEEDS
-        ],
+        models={
+            name: [_read(job, name, MODELS[name].load, "model") for job in jobs]
+            for name in module.NEEDS
+        },
     )
     policies, curves = train_policies(
         algorithm,
@@ -219,7 +185,7 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
     policies = [_read(job, "policy", Policy.load, "policy") for job in jobs]
     results = evaluate_policies(
         policies,
-        [_read(job, "behaviour_policy", Policy.load, "policy") for job in jobs],
+        [_read(job, "behaviour_policy", Policy.load, "model") for job in jobs],
         first["environment"],
         first["parameters"],
         config,

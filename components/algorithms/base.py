@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
-from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.rollout import MachineRule
 from components.networks.checkpoint import (
     load_optimizer_state,
@@ -36,6 +35,7 @@ __all__ = [
 ]
 
 SATURATED = 0.99
+M = TypeVar("M")
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,23 @@ class Ingredients:
     Attributes:
         data: The lanes' datasets on their device.
         keys: One random stream per lane, a digest of (dataset, algorithm, seed).
-        behaviour_policies: Clones of the logged behaviour, one per lane, where needed.
-        recurrent_ensembles: Transition models, one per lane, where needed.
+        models: Fitted models by name in :data:`components.models.MODELS`, one per lane each.
     """
 
     data: LaneData
     keys: Sequence[int]
-    behaviour_policies: Sequence[Policy] = field(default=())
-    recurrent_ensembles: Sequence[RecurrentEnsemble] = field(default=())
+    models: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+    def fitted(self, name: str, kind: type[M]) -> list[M]:
+        """The lanes' models of a name, all of them of the given class.
+
+        Raises:
+            ValueError: If there are others, or not one per lane.
+        """
+        found = [model for model in self.models.get(name, ()) if isinstance(model, kind)]
+        if len(found) != self.data.lanes:
+            raise ValueError(f"{self.data.lanes} lanes need as many {kind.__name__} as {name!r}.")
+        return found
 
     @property
     def machine(self) -> MachineRule:

@@ -26,7 +26,9 @@ import torch
 from torch import Tensor
 
 from components.algorithms.base import Ingredients, StackedLearner, descend, first_rows
-from components.models.rollout import VirtualMachine
+from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.models.recurrent_transition import RecurrentTransition
+from components.models.rollout import VirtualMachine, discounted_sum
 from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
 from components.networks.policy import LAMBDA_SCALING, Policy, PolicyCard
 from components.networks.training import adam
@@ -77,11 +79,11 @@ class Learner(StackedLearner):
         self._config, self._parts, self._data = config, parts, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
-        self._behaviour = Policy.concatenate(
-            parts.behaviour_policies[0].card, parts.behaviour_policies
-        ).to(device)
+        clones = parts.fitted("behaviour_policy", Policy)
+        self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
+        ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
         self._machine = VirtualMachine(
-            parts.recurrent_ensembles, parts.machine, data.frame_scaling, device
+            RecurrentTransition(ensembles, device), parts.machine, data.frame_scaling, device
         )
         self._reward_scale = torch.tensor(parts.mean_window_returns, device=device).abs()[:, None]
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
@@ -92,7 +94,6 @@ class Learner(StackedLearner):
         self._steering = LAMBDA_SCALING.to(device)
         starts = [first_rows(dataset, config.start_window) for dataset in data.datasets]
         self._streams = LaneStreams(parts.keys, self._draws(starts, data.counts), device)
-        self._discounts = config.discount ** torch.arange(config.horizon, device=device)
 
     def _draws(
         self, starts: Sequence[npt.NDArray[np.int64]], counts: Sequence[int]
@@ -132,10 +133,10 @@ class Learner(StackedLearner):
             return actions
 
         history = self._data.denormalise_history(self._data.observations(start))
-        rewards = self._machine.unroll(history, act, self._config.horizon)
-        discounts = self._discounts[:, None, None]
-        returns = (discounts * rewards).sum(dim=0) / self._reward_scale
-        penalty = (discounts * torch.stack(penalties)).sum(dim=0) / self._config.horizon
+        steps = self._machine.unroll(history, act, self._config.horizon)
+        discount = self._config.discount
+        returns = discounted_sum([step.rewards for step in steps], discount) / self._reward_scale
+        penalty = discounted_sum(penalties, discount) / self._config.horizon
         return returns, penalty
 
     def _cloning_loss(self, index: Tensor) -> Tensor:

@@ -1,17 +1,46 @@
-"""What is learned supervised, by name: each model's configuration, checked on held-out data."""
+"""What is learned supervised, by name: each model's configuration, its fit and its artifact."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
-from components.models.behaviour_policy import BehaviourPolicyConfig
-from components.models.recurrent_ensemble import RecurrentEnsembleConfig
+from components.models import behaviour_policy, recurrent_fit
+from components.models.recurrent_ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
+from components.models.supervised import Fit
+from components.networks.policy import Policy
 
-__all__ = ["MODELS"]
+__all__ = ["MODELS", "ModelKind"]
 
-MODELS: Final[Mapping[str, type]] = MappingProxyType(
+
+@dataclass(frozen=True)
+class ModelKind:
+    """One kind of supervised model.
+
+    Attributes:
+        config: Its configuration, a frozen dataclass.
+        fit: ``fit(dataset, config, key, device, checkpoint, monitor)``: trains on all but the last
+            trajectories, resumably.
+        load: Reads the folder that the fitted model's ``save`` filled.
+    """
+
+    config: type
+    fit: Callable[..., Fit[Any]]
+    load: Callable[[Path], Any]
+
+
+MODELS: Final[Mapping[str, ModelKind]] = MappingProxyType(
     {
-        "behaviour_policy": BehaviourPolicyConfig,
-        "recurrent_ensemble": RecurrentEnsembleConfig,
+        "behaviour_policy": ModelKind(
+            behaviour_policy.BehaviourPolicyConfig,
+            behaviour_policy.fit_behaviour_policy,
+            Policy.load,
+        ),
+        "recurrent_ensemble": ModelKind(
+            RecurrentEnsembleConfig,
+            recurrent_fit.fit_recurrent_ensemble,
+            RecurrentEnsemble.load,
+        ),
     }
 )

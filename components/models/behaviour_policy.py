@@ -6,7 +6,7 @@ away. The last trajectories are held out; the state with the lowest held-out los
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from torch import Tensor
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.data.splits import split_episodes
+from components.models.supervised import UNWATCHED, Fit, Monitor
 from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
 from components.networks.checkpoint import (
     load_optimizer_state,
@@ -27,7 +28,7 @@ from components.networks.checkpoint import (
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Curves, TrainingLoop, adam
 
-__all__ = ["BehaviourPolicyConfig", "fit_behaviour_policies"]
+__all__ = ["BehaviourPolicyConfig", "fit_behaviour_policies", "fit_behaviour_policy"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,7 @@ def fit_behaviour_policies(
     keys: Sequence[int],
     device: torch.device,
     checkpoint: Path | None = None,
-    progress: Callable[[float], None] = lambda fraction: None,
+    monitor: Monitor = UNWATCHED,
 ) -> tuple[list[Policy], list[dict[str, float]], Curves]:
     """Clone the behaviour behind each dataset, one lane per dataset.
 
@@ -124,7 +125,7 @@ def fit_behaviour_policies(
         keys: One random stream per lane.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        progress: Told the finished fraction.
+        monitor: Told the progress and the held-out losses.
 
     Returns:
         Per lane a policy and its held-out mean squared error; the learning curves.
@@ -152,10 +153,13 @@ def fit_behaviour_policies(
             losses = (torch.stack(parts) * sizes.to(device)[:, None]).sum(dim=0) / shortest
             curves.add(done, {"model/validation_mse": losses})
             learner.keep_best(losses)
+            monitor.validated(done / updates, float(losses.mean()))
         return False
 
     members = [f"{d.card.name}#{lane}" for lane, d in enumerate(datasets)]
-    loop = TrainingLoop(updates, members, checkpoint, log_every=per_epoch, progress=progress)
+    loop = TrainingLoop(
+        updates, members, checkpoint, log_every=per_epoch, progress=monitor.progress
+    )
     curves = loop.run(learner, validate)
     policies = []
     for lane, dataset in enumerate(datasets):
@@ -172,3 +176,18 @@ def fit_behaviour_policies(
         policies.append(whole.lane(lane, card))
     metrics = [{"validation_mse": float(loss)} for loss in learner.best_loss]
     return policies, metrics, curves
+
+
+def fit_behaviour_policy(
+    dataset: OfflineDataset,
+    config: BehaviourPolicyConfig,
+    key: int,
+    device: torch.device,
+    checkpoint: Path | None = None,
+    monitor: Monitor = UNWATCHED,
+) -> Fit[Policy]:
+    """Clone the behaviour behind one dataset, see :func:`fit_behaviour_policies`."""
+    [policy], [metrics], curves = fit_behaviour_policies(
+        [dataset], config, [key], device, checkpoint, monitor
+    )
+    return Fit(policy, metrics["validation_mse"], metrics, curves.of_lane(0))

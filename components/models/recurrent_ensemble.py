@@ -20,20 +20,14 @@ import torch
 from torch import Tensor
 
 from components.data.normaliser import Normaliser
+from components.models.rollout import INPUTS, TARGETS
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.recurrent import unroll_cells
 
-__all__ = [
-    "INPUTS",
-    "TARGETS",
-    "RecurrentEnsemble",
-    "RecurrentEnsembleConfig",
-    "predict_windows",
-]
+__all__ = ["RecurrentEnsemble", "RecurrentEnsembleConfig", "predict_windows"]
 
-TARGETS = ("fatigue", "consumption")
-INPUTS = ("setpoint", "velocity", "gain", "shift")
 FORMAT = "recurrent-ensemble/1"
+FILE = "ensemble.safetensors"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +88,8 @@ class RecurrentEnsemble:
         """Number of network pairs K."""
         return int(self.weight.shape[0]) // len(TARGETS)
 
-    def save(self, path: Path) -> None:
-        """Write one safetensors file."""
+    def save(self, folder: Path) -> None:
+        """Write one safetensors file into an existing folder."""
         tensors = {
             "weight": self.weight,
             "readout": self.readout,
@@ -104,15 +98,16 @@ class RecurrentEnsemble:
             "low": self.low,
             "high": self.high,
         }
-        save_tensors(path, tensors, {"format": FORMAT})
+        save_tensors(folder / FILE, tensors, {"format": FORMAT})
 
     @classmethod
-    def load(cls, path: Path) -> "RecurrentEnsemble":
+    def load(cls, folder: Path) -> "RecurrentEnsemble":
         """Read what :meth:`save` wrote.
 
         Raises:
             ValueError: If the file holds something else.
         """
+        path = folder / FILE
         tensors, header = load_tensors(path)
         if header.get("format") != FORMAT:
             raise ValueError(f"{path} holds {header.get('format')!r}, expected {FORMAT!r}.")

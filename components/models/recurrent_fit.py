@@ -14,7 +14,6 @@ updates; smaller batches; no weight decay; gradients limited in norm, network by
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +24,12 @@ from components.data.dataset import OfflineDataset
 from components.data.normaliser import Normaliser
 from components.data.splits import split_episodes
 from components.models.recurrent_ensemble import (
-    INPUTS,
-    TARGETS,
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
     predict_windows,
 )
+from components.models.rollout import INPUTS, TARGETS
+from components.models.supervised import UNWATCHED, Fit, Monitor
 from components.networks import LaneStreams, lane_key, spawn_generators
 from components.networks.checkpoint import (
     load_optimizer_state,
@@ -208,8 +207,8 @@ def fit_recurrent_ensemble(
     key: int,
     device: torch.device,
     checkpoint: Path | None = None,
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> tuple[RecurrentEnsemble, dict[str, float], Curves]:
+    monitor: Monitor = UNWATCHED,
+) -> Fit[RecurrentEnsemble]:
     """Train all networks of the ensemble at once, with early stopping on held-out trajectories.
 
     Args:
@@ -218,11 +217,11 @@ def fit_recurrent_ensemble(
         key: Random stream, see :func:`components.networks.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        progress: Told the finished fraction.
+        monitor: Told the progress and the held-out losses.
 
     Returns:
-        The ensemble of best held-out states, the held-out normalised mean squared error of its
-        networks over all held-out windows, and the learning curves.
+        The ensemble of best held-out states and the held-out normalised mean squared errors of its
+        networks over all held-out windows; the validation loss is their mean.
     """
     windows = _Windows(dataset, config, device)
     learner = _EnsembleLearner(windows, config, key, device)
@@ -234,9 +233,10 @@ def fit_recurrent_ensemble(
         losses = learner.validation_loss(learner.weight, learner.readout, stride=5)
         curves.add(done, {"model/validation_mse": losses})
         learner.keep_best(losses)
+        monitor.validated(done / config.updates, float(losses.mean()))
         return bool((learner.stale >= config.patience).all())
 
-    loop = TrainingLoop(config.updates, names, checkpoint, progress=progress)
+    loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
     curves = loop.run(learner, validate)
     final = learner.validation_loss(learner.best_weight, learner.best_readout, stride=1)
     metrics = {f"validation_mse/{name}": float(v) for name, v in zip(names, final, strict=True)}
@@ -249,4 +249,9 @@ def fit_recurrent_ensemble(
         windows.low,
         windows.high,
     )
-    return ensemble, metrics, curves
+    by_network = {
+        f"{metric}/{name}": series
+        for lane, name in enumerate(names)
+        for metric, series in curves.of_lane(lane).items()
+    }
+    return Fit(ensemble, float(final.mean()), metrics, by_network)

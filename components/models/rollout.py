@@ -1,27 +1,98 @@
 """Unroll policies through a learned ensemble: the one place where virtual trajectories are made.
 
-Every lane has its own ensemble of K recurrent pairs, its own policy and B trajectories. At each
-step the policy acts, the steerings follow exactly (clipped integration, differentiable), every
-member advances its own hidden state, and the prediction of one member becomes the next frame. With
-``propagation="minimum"`` that is, per trajectory and step, the member that predicts the lowest
-reward (thesis 6.4). Predictions are clipped to the range of the training data, and the clipped
-value is fed back.
+Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
+policy acts, the steerings follow exactly (clipped integration, differentiable), every member
+predicts the rest of the next frame, and one prediction becomes that frame, clipped to the range of
+the training data. Which one is the propagation:
+
+- ``"minimum"``: per trajectory and step the member that predicts the lowest reward (thesis 6.4 and
+  5.17);
+- ``"isolated"``: every member continues its own copy of each trajectory (thesis 5.15);
+- a tensor of member numbers per step and trajectory: a random elite at every step (MOPO), or one
+  member for the whole trajectory (MOReL).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
 from components.data.dataset import DatasetCard
 from components.data.normaliser import Normaliser
-from components.models.recurrent_ensemble import INPUTS, TARGETS, RecurrentEnsemble
-from components.networks.recurrent import fast_tanh, unroll_cells
 
-__all__ = ["MachineRule", "VirtualMachine"]
+__all__ = [
+    "INPUTS",
+    "TARGETS",
+    "MachineRule",
+    "Prediction",
+    "Propagation",
+    "TransitionModel",
+    "VirtualMachine",
+    "VirtualStep",
+    "discounted_sum",
+]
+
+INPUTS = ("setpoint", "velocity", "gain", "shift")
+"""Features of a frame that follow from the action exactly."""
+TARGETS = ("fatigue", "consumption")
+"""Features of a frame that are learned."""
 
 Act = Callable[[Tensor], Tensor]
+Propagation = Literal["minimum", "isolated"] | Tensor
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What all members say about the next frame.
+
+    Attributes:
+        values: ``[L, D, K, B]`` normalised targets, not clipped.
+        spread: ``[L, D, K, B]`` predicted standard deviations in units of a standardised target;
+            None for deterministic members.
+    """
+
+    values: Tensor
+    spread: Tensor | None = None
+
+
+class TransitionModel(Protocol):
+    """Ensembles of L lanes, K members each.
+
+    Attributes:
+        members: K.
+        frames: Scaling of the frame's features, ``[L, F]``.
+        low: Smallest normalised targets of the training data, ``[L, D]``.
+        high: Largest.
+        target_scale: One standardised target in normalised units, ``[L, D]``: 1 where values are
+            predicted, the deviation of the changes where changes are.
+    """
+
+    members: int
+    frames: Normaliser
+    low: Tensor
+    high: Tensor
+    target_scale: Tensor
+
+    def begin(self, history: Tensor) -> Any:
+        """State after the recorded raw frames ``[L, S, B, H, F]``, newest first; S is 1 or K."""
+
+    def predict(
+        self, state: Any, observation: Tensor, inputs: Tensor, own: Tensor
+    ) -> tuple[Prediction, Any]:
+        """Advance all members by a step.
+
+        Args:
+            state: Of :meth:`begin` or the step before.
+            observation: ``[L, S, B, H * F]`` frames before the action, newest first, in the scaling
+                the policies see.
+            inputs: ``[L, S, B, 4]`` normalised inputs after the action.
+            own: ``[L, D, S, B]`` normalised targets before the action.
+
+        Returns:
+            Member k's prediction for its own copy, or for the only one; the next state.
+        """
 
 
 @dataclass(frozen=True)
@@ -62,132 +133,139 @@ class MachineRule:
             ) from error
 
 
+@dataclass(frozen=True)
+class VirtualStep:
+    """One step of N virtual trajectories a lane; N is B, or K * B (member-major) in isolation.
+
+    Attributes:
+        observations: ``[L, N, O]`` what the policy saw.
+        actions: ``[L, N, A]``.
+        rewards: ``[L, N]``.
+        frames: ``[L, N, F]`` the next frame, scaled as the policy sees it.
+        prediction: Of all members, before the choice and the clipping.
+    """
+
+    observations: Tensor
+    actions: Tensor
+    rewards: Tensor
+    frames: Tensor
+    prediction: Prediction
+
+
 class VirtualMachine:
     """The learned machine of L lanes.
 
     Args:
-        ensembles: One per lane, of equal shapes.
+        model: The lanes' ensembles.
         rule: How actions move the steerings, and the reward.
         scaling: Scaling of the frames that policies see, ``[L, F]``.
         device: Where to compute.
     """
 
     def __init__(
-        self,
-        ensembles: Sequence[RecurrentEnsemble],
-        rule: MachineRule,
-        scaling: Normaliser,
-        device: torch.device,
+        self, model: TransitionModel, rule: MachineRule, scaling: Normaliser, device: torch.device
     ) -> None:
-        self._lanes, self._members = len(ensembles), ensembles[0].members
-        self._weight = torch.cat([e.weight for e in ensembles]).to(device)  # [L * 2K, H, H + 6]
-        self._readout = torch.cat([e.readout for e in ensembles]).to(device)
-        self._frames = Normaliser.stack([e.frames for e in ensembles]).to(device)
-        self._low = torch.stack([e.low for e in ensembles]).to(device)[:, :, None, None]
-        self._high = torch.stack([e.high for e in ensembles]).to(device)[:, :, None, None]
+        self.model = model
+        frames = model.frames
         self._scaling = scaling.to(device)
         self._rule = rule
         self._action_scale = torch.tensor(rule.action_scale, device=device)
         reward = torch.tensor(rule.reward, device=device)
-        outputs = slice(len(INPUTS), len(INPUTS) + len(TARGETS))
+        count = len(INPUTS)
+        self._input_mean, self._input_scale = frames.mean[:, :count], frames.scale[:, :count]
+        mean, scale = frames.mean[:, count:], frames.scale[:, count:]
         # Reward of a normalised prediction: weights times scale, and the part of the means.
-        self._reward_weight = (reward * self._frames.scale[:, outputs])[:, :, None]
-        self._reward_offset = (reward * self._frames.mean[:, outputs]).sum(dim=1)[:, None]
-        self._output_scale = self._frames.scale[:, outputs, None]
-        self._output_mean = self._frames.mean[:, outputs, None]
-        # The fatigue networks (first half) read their previous value, the others read zero.
-        self._feeds_back = torch.tensor([1.0, 0.0], device=device)[None, :, None, None, None]
+        self._reward_weight, self._reward_offset = reward * scale, (reward * mean).sum(dim=1)
+        self._output_mean, self._output_scale = _wide(mean), _wide(scale)
+        self._low, self._high = _wide(model.low), _wide(model.high)
+        self._target_scale = _wide(model.target_scale)
 
-    def unroll(self, history: Tensor, act: Act, horizon: int) -> Tensor:
-        """Let a policy act for ``horizon`` steps.
+    def unroll(
+        self,
+        history: Tensor,
+        act: Act,
+        horizon: int,
+        propagation: Propagation = "minimum",
+        noise: Tensor | None = None,
+    ) -> Iterator[VirtualStep]:
+        """Let a policy act for ``horizon`` steps, one after the other.
+
+        Everything is differentiable with respect to whatever ``act`` depends on.
 
         Args:
-            history: ``[L, B, H, F]`` raw frames, newest first; the hidden state is built on them.
-            act: Maps observations ``[L, B, H * F]`` (scaled, newest first) to actions
-                ``[L, B, A]``; called once a step.
+            history: ``[L, B, H, F]`` raw frames, newest first.
+            act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
+                ``[L, N, A]``; called once a step.
             horizon: Steps T.
+            propagation: Which member is followed; member numbers are ``[T, L, B]``.
+            noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
+                Gaussian instead of taking its mean.
 
-        Returns:
-            Rewards ``[T, L, B]``, differentiable with respect to whatever ``act`` depends on.
+        Yields:
+            The T steps.
         """
-        scaling = self._scaling
-        frames = (history - scaling.mean[:, None, None]) / scaling.scale[:, None, None]
-        observation = frames.flatten(start_dim=2)
-        width = history.shape[-1]
-        hidden = self._warm_up(history)
-        setpoint, steering = history[:, :, 0, :1], history[:, :, 0, 1 : len(INPUTS)]
-        outputs = history[:, :, 0, len(INPUTS) :].transpose(1, 2)  # [L, 2, B] raw
-        own = (outputs - self._output_mean) / self._output_scale
-        rewards = []
-        for _ in range(horizon):
-            action = act(observation)
-            steering = (steering + action * self._action_scale).clamp(
-                self._rule.low, self._rule.high
-            )
-            inputs = torch.cat([setpoint, steering], dim=-1)
-            hidden, own, reward = self._advance(hidden, inputs, own)
-            rewards.append(reward)
-            raw = (own * self._output_scale + self._output_mean).transpose(1, 2)
-            frame = (torch.cat([inputs, raw], dim=-1) - scaling.mean[:, None]) / scaling.scale[
-                :, None
-            ]
-            observation = torch.cat([frame, observation[:, :, :-width]], dim=-1)
-        return torch.stack(rewards)
-
-    @torch.no_grad()
-    def _warm_up(self, history: Tensor) -> Tensor:
-        """Hidden states ``[L * 2K, H, B]`` after the recorded frames."""
-        lanes, batch, length, _ = history.shape
-        scaled = (history - self._frames.mean[:, None, None]) / self._frames.scale[:, None, None]
-        oldest_first = scaled.flip(2).permute(2, 0, 3, 1)  # [H, L, F, B]
-        posterior = oldest_first[1:, :, None, None, : len(INPUTS)]
-        previous = oldest_first[:-1, :, len(INPUTS) :, None, None] * self._feeds_back
-        shape = (length - 1, lanes, len(TARGETS), self._members)
-        inputs = torch.cat(
-            [
-                posterior.expand(*shape, len(INPUTS), batch),
-                previous.expand(*shape, 1, batch),
-            ],
-            dim=4,
+        copies = self.model.members if propagation == "isolated" else 1
+        history = history[:, None].expand(-1, copies, -1, -1, -1)
+        state = self.model.begin(history)
+        mean, scale = (s[:, None, None] for s in (self._scaling.mean, self._scaling.scale))
+        observation = ((history - mean[:, None]) / scale[:, None]).flatten(start_dim=3)
+        width, count = history.shape[-1], len(INPUTS)
+        setpoint, steering = history[:, :, :, 0, :1], history[:, :, :, 0, 1:count]
+        own = (history[:, :, :, 0, count:].permute(0, 3, 1, 2) - self._output_mean) / (
+            self._output_scale
         )
-        width = self._weight.shape[1]
-        start = history.new_zeros(self._weight.shape[0], width, batch)
-        _, hidden = unroll_cells(self._weight, self._readout, start, inputs.flatten(1, 3))
-        return hidden
+        input_mean, input_scale = (s[:, None, None] for s in (self._input_mean, self._input_scale))
+        for step in range(horizon):
+            seen = observation.flatten(1, 2)
+            action = act(seen)
+            moved = (action * self._action_scale).view(*steering.shape)
+            steering = (steering + moved).clamp(self._rule.low, self._rule.high)
+            inputs = torch.cat([setpoint, steering], dim=-1)
+            prediction, state = self.model.predict(
+                state, observation, (inputs - input_mean) / input_scale, own
+            )
+            own = self._choose(prediction, propagation, step, noise)
+            raw = (own * self._output_scale + self._output_mean).permute(0, 2, 3, 1)
+            frame = (torch.cat([inputs, raw], dim=-1) - mean) / scale
+            rewards = self._rewards(own).flatten(1)
+            yield VirtualStep(seen, action, rewards, frame.flatten(1, 2), prediction)
+            observation = torch.cat([frame, observation[..., :-width]], dim=-1)
 
-    def _advance(
-        self, hidden: Tensor, inputs: Tensor, own: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """One step of all members.
+    def _rewards(self, targets: Tensor) -> Tensor:
+        """Rewards ``[L, S, B]`` of normalised ``targets [L, D, S, B]``."""
+        weighted = (targets * _wide(self._reward_weight)).sum(dim=1)
+        return weighted + self._reward_offset[:, None, None]
 
-        Args:
-            hidden: ``[L * 2K, H, B]``.
-            inputs: ``[L, B, 4]`` raw setpoint and steerings after the action.
-            own: ``[L, 2, B]`` normalised fatigue and consumption before the action.
+    def _choose(
+        self, prediction: Prediction, propagation: Propagation, step: int, noise: Tensor | None
+    ) -> Tensor:
+        """Normalised targets ``[L, D, S, B]`` of the next frame."""
+        values = prediction.values
+        chosen: Tensor | None = None
+        if isinstance(propagation, Tensor):
+            chosen = propagation[step][:, None]
+        elif propagation == "minimum":
+            clipped = values.detach().clamp(self._low, self._high)
+            chosen = self._rewards(clipped).argmin(dim=1, keepdim=True)
+        if chosen is not None:
+            values = _pick(values, chosen)
+        if noise is not None and prediction.spread is not None:
+            spread = prediction.spread if chosen is None else _pick(prediction.spread, chosen)
+            values = values + spread * self._target_scale * noise[step][:, :, None]
+        return values.clamp(self._low, self._high)
 
-        Returns:
-            Next hidden state, next normalised fatigue and consumption, reward ``[L, B]``.
-        """
-        lanes, members = self._lanes, self._members
-        mean, scale = self._frames.mean[:, None, : len(INPUTS)], self._frames.scale[:, None]
-        scaled = ((inputs - mean) / scale[..., : len(INPUTS)]).transpose(1, 2)  # [L, 4, B]
-        batch = scaled.shape[-1]
-        shape = (lanes, len(TARGETS), members)
-        fed = (own[:, :, None, None] * self._feeds_back).expand(*shape, 1, batch)
-        seen = torch.cat(
-            [
-                hidden.view(*shape, -1, batch),
-                scaled[:, None, None].expand(*shape, len(INPUTS), batch),
-                fed,
-                torch.ones_like(fed),
-            ],
-            dim=3,
-        ).flatten(0, 2)
-        hidden = fast_tanh(torch.bmm(self._weight, seen))
-        predicted = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
-        predicted = predicted.view(*shape, batch).clamp(self._low, self._high)  # [L, 2, K, B]
-        reward = (predicted * self._reward_weight[..., None]).sum(dim=1)
-        reward = reward + self._reward_offset[:, None]
-        lowest = reward.detach().argmin(dim=1, keepdim=True)  # [L, 1, B]
-        chosen = predicted.gather(2, lowest[:, None].expand(-1, len(TARGETS), -1, -1))
-        return hidden, chosen.squeeze(2), reward.gather(1, lowest).squeeze(1)
+
+def discounted_sum(rewards: list[Tensor], discount: float) -> Tensor:
+    """Returns of trajectories from their rewards step by step: ``T x [...] -> [...]``."""
+    powers = discount ** torch.arange(len(rewards), device=rewards[0].device)
+    return (torch.stack(rewards, dim=-1) * powers).sum(dim=-1)
+
+
+def _wide(per_target: Tensor) -> Tensor:
+    """``[L, D]`` as a factor of ``[L, D, K, B]``."""
+    return per_target[:, :, None, None]
+
+
+def _pick(values: Tensor, member: Tensor) -> Tensor:
+    """Of ``values [L, D, K, B]`` those of ``member [L, 1, B]``: ``[L, D, 1, B]``."""
+    return values.gather(2, member[:, None].expand(-1, values.shape[1], -1, -1))

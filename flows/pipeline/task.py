@@ -90,6 +90,9 @@ class TaskContext:
         self._written = now
         write_json(self.progress_file, {"fraction": min(1.0, max(0.0, float(fraction)))})
 
+    def validated(self, fraction: float, loss: float) -> None:
+        """Takes a held-out loss on the way; what a search makes of it is its own business."""
+
 
 TaskFunction = Callable[[Sequence[Job], TaskContext], None]
 

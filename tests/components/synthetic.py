@@ -1,13 +1,16 @@
 """A small linear machine, its logs, and hand-made models: what the tests of the learners share."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.normaliser import Normaliser
+from components.models.mlp_ensemble import MLPEnsemble
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.networks import StackedMLP, lane_generator, lane_key
 from components.networks.policy import Policy, PolicyCard
@@ -160,3 +163,46 @@ def random_ensemble(
         scaled.amin(dim=0),
         scaled.amax(dim=0),
     )
+
+
+def random_mlp_ensemble(
+    dataset: OfflineDataset, name: object, members: int = 3, gaussian: bool = False
+) -> MLPEnsemble:
+    """An untrained ensemble of one-step models of changes, with visible differences."""
+    rng = lane_generator(lane_key("mlp", name))
+    scaling = Normaliser.fit(dataset.frames)
+    scaled = scaling.apply(torch.from_numpy(dataset.frames))[:, 4:]
+    sizes = (dataset.card.history * len(FEATURES) + 4, 5, 4 if gaussian else 2)
+    layers = [
+        (
+            torch.from_numpy(rng.normal(0.0, inputs**-0.5, (members, inputs, outputs))).float(),
+            torch.from_numpy(rng.normal(0.0, 0.3, (members, 1, outputs))).float(),
+        )
+        for inputs, outputs in itertools.pairwise(sizes)
+    ]
+    bounds = torch.tensor([[-6.0, -6.0], [0.5, 0.5]]).expand(members, 2, 2).clone()
+    return MLPEnsemble(
+        layers=tuple(layers),
+        frames=scaling,
+        low=scaled.amin(dim=0),
+        high=scaled.amax(dim=0),
+        target_mean=torch.tensor([0.01, -0.02]),
+        target_scale=torch.tensor([0.3, 0.4]),
+        log_variance=bounds if gaussian else torch.empty(0),
+        history=dataset.card.history,
+        activation="swish" if gaussian else "relu",
+        target="change",
+        elites=tuple(range(1, members)) if gaussian else tuple(range(members)),
+    )
+
+
+def random_model(model: str, dataset: OfflineDataset) -> Any:
+    """An untrained model of a name in the registry, always the same for a dataset."""
+    name = dataset.card.name
+    if model == "behaviour_policy":
+        return random_policy(dataset, (name,))
+    if model == "recurrent_ensemble":
+        return random_ensemble(dataset, name)
+    if model in ("deterministic_ensemble", "gaussian_ensemble", "residual_ensemble"):
+        return random_mlp_ensemble(dataset, (model, name), gaussian=model == "gaussian_ensemble")
+    raise KeyError(model)

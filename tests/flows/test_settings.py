@@ -40,8 +40,9 @@ def test_documented_defaults_of_algorithms_are_the_code_s(name: str, paper: Sett
 
 @pytest.mark.parametrize("name", MODELS)
 def test_documented_defaults_of_models_are_the_code_s(name: str, paper: Settings) -> None:
-    assert paper.model[name] == MODELS[name]()
-    assert list(documented("model", name)) == [f.name for f in dataclasses.fields(MODELS[name])]
+    assert paper.model[name] == MODELS[name].config()
+    fields = dataclasses.fields(MODELS[name].config)
+    assert list(documented("model", name)) == [field.name for field in fields]
 
 
 def test_every_algorithm_and_model_has_its_file() -> None:

@@ -92,10 +92,10 @@ def test_data_generation(plan: Plan, root: Path) -> None:
 
 
 def test_model_fitting(plan: Plan, root: Path) -> None:
-    clone = Policy.load(out(plan, root, "behaviour_policy/bad-0.4") / "policy")
+    clone = Policy.load(out(plan, root, "behaviour_policy/bad-0.4") / "model")
     assert (clone.card.algorithm, clone.lanes) == ("behaviour_policy", 1)
     folder = out(plan, root, "recurrent_ensemble/bad-0.4")
-    assert RecurrentEnsemble.load(folder / "ensemble.safetensors").members == 2
+    assert RecurrentEnsemble.load(folder / "model").members == 2
     with np.load(folder / "curves.npz", allow_pickle=False) as curves:
         assert curves["model/validation_mse/fatigue0/step"].tolist() == [10, 20]
 

@@ -11,7 +11,7 @@ from components.algorithms.base import Ingredients
 from components.data.dataset import OfflineDataset
 from components.data.lanes import Batch, LaneData
 from components.networks.streams import lane_key
-from tests.components.synthetic import CPU, make_log, random_ensemble, random_policy, relabelled
+from tests.components.synthetic import CPU, make_log, random_model, relabelled
 
 SMALL: dict[str, dict[str, Any]] = {
     "bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
@@ -66,18 +66,12 @@ def learner(
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
     module = ALGORITHMS[algorithm]
-    needs = module.NEEDS
     parts = Ingredients(
         data=LaneData(logs, CPU, module.FRAME_EPSILON),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
         ],
-        behaviour_policies=[
-            random_policy(log, (log.card.name,)) for log in logs if "behaviour_policy" in needs
-        ],
-        recurrent_ensembles=[
-            random_ensemble(log, log.card.name) for log in logs if "recurrent_ensemble" in needs
-        ],
+        models={name: [random_model(name, log) for log in logs] for name in module.NEEDS},
     )
     return module.Learner(config(algorithm, **changes), parts)
 

@@ -5,7 +5,9 @@ import pytest
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
 
-CONFIGS = dict(MODELS) | {name: module.Config for name, module in ALGORITHMS.items()}
+CONFIGS = {name: kind.config for name, kind in MODELS.items()} | {
+    name: module.Config for name, module in ALGORITHMS.items()
+}
 
 
 @pytest.mark.parametrize(

@@ -17,16 +17,20 @@ from components.models.recurrent_ensemble import (
     predict_windows,
 )
 from components.models.recurrent_fit import fit_recurrent_ensemble
+from components.models.recurrent_transition import RecurrentTransition
 from components.models.rollout import MachineRule, VirtualMachine
+from components.models.supervised import Fit
 from components.networks import lane_key
 from components.networks.checkpoint import save_tensors
-from tests.components.interruption import killed_at, lanes, save_always
+from tests.components.interruption import killed_at, save_always
 from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
 
 TINY = RecurrentEnsembleConfig(
     members=2, hidden=6, warm_up=5, horizon=8, batch=16, updates=40, validate_every=7, holdout=0.2
 )
 LOG = make_log()
+
+NAMES = ["fatigue0", "fatigue1", "consumption0", "consumption1"]
 
 
 def by_loop(weight: Tensor, readout: Tensor, windows: Tensor, warm_up: int) -> Tensor:
@@ -107,27 +111,27 @@ def test_learns_the_small_machine() -> None:
         members=2, hidden=12, warm_up=5, horizon=10, batch=64, updates=400, validate_every=50,
         learning_rate=1e-2,
     )  # fmt: skip
-    ensemble, metrics, curves = fit_recurrent_ensemble(log, config, lane_key("fit"), CPU)
-    for lane in range(4):
-        _, values = curves.of_lane(lane)["model/train_mse"]
+    fit = fit_recurrent_ensemble(log, config, lane_key("fit"), CPU)
+    for name in NAMES:
+        _, values = fit.curves[f"model/train_mse/{name}"]
         # mean over the first 50 updates against the last; measured factors of 160 and more
         assert values[-1] < values[0] / 20
     # predicting the mean gives about 1; measured 0.001 and 0.0005
-    assert metrics["validation_mse/fatigue"] < 0.02
-    assert metrics["validation_mse/consumption"] < 0.02
-    assert ensemble.members == 2
+    assert fit.metrics["validation_mse/fatigue"] < 0.02
+    assert fit.metrics["validation_mse/consumption"] < 0.02
+    assert fit.model.members == 2
 
 
 def test_consumption_networks_read_no_own_value() -> None:
     """Training must not move the column, which roll-outs feed with zero: they would disagree."""
-    ensemble, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("column"), CPU)
+    ensemble = fit_recurrent_ensemble(LOG, TINY, lane_key("column"), CPU).model
     assert ensemble.weight[:2, :, 6 + 4].all()
     assert not ensemble.weight[2:, :, 6 + 4].any()
 
 
 def test_training_and_roll_outs_predict_the_same() -> None:
     """The loss's closed loop and the virtual machine's are one and the same."""
-    ensemble, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("same"), CPU)
+    ensemble = fit_recurrent_ensemble(LOG, TINY, lane_key("same"), CPU).model
     alone = RecurrentEnsemble(
         ensemble.weight[::2],  # a machine of one pair has no choice to make
         ensemble.readout[::2],
@@ -143,7 +147,9 @@ def test_training_and_roll_outs_predict_the_same() -> None:
     history = torch.from_numpy(LOG.frames)[rows][None]
     actions = [LOG.frames[start + TINY.warm_up + t + 1, 1:4] for t in range(TINY.horizon)]
     plain = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
-    virtual = VirtualMachine([alone], MachineRule.of_card(LOG.card), plain, CPU)
+    virtual = VirtualMachine(
+        RecurrentTransition([alone], CPU), MachineRule.of_card(LOG.card), plain, CPU
+    )
     seen: list[Tensor] = []
 
     def act(observation: Tensor) -> Tensor:
@@ -151,7 +157,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         moved = torch.from_numpy(actions[len(seen) - 1]) - observation[0, :, 1:4]
         return (moved / torch.tensor(SCALE).float())[None]
 
-    virtual.unroll(history, act, TINY.horizon)
+    assert len(list(virtual.unroll(history, act, TINY.horizon))) == TINY.horizon
     for t, frame in enumerate(seen[1:]):
         scaled = ensemble.frames.apply(frame)[:, 4:]
         # eight recurrent steps in float32, scaled and unscaled
@@ -159,17 +165,18 @@ def test_training_and_roll_outs_predict_the_same() -> None:
 
 
 def test_reported_loss_belongs_to_the_best_state() -> None:
-    ensemble, metrics, curves = fit_recurrent_ensemble(LOG, TINY, lane_key("best"), CPU)
+    fit = fit_recurrent_ensemble(LOG, TINY, lane_key("best"), CPU)
+    ensemble, metrics = fit.model, fit.metrics
     windows = recurrent_fit._Windows(LOG, TINY, CPU)
     inputs, targets = windows.gather(windows.held_out.expand(4, -1))
     predicted = by_loop(ensemble.weight, ensemble.readout, inputs, TINY.warm_up)
     losses = (predicted - targets).square().mean(dim=(0, 2)).tolist()
-    names = ["fatigue0", "fatigue1", "consumption0", "consumption1"]
-    for name, loss in zip(names, losses, strict=True):
+    for name, loss in zip(NAMES, losses, strict=True):
         assert metrics[f"validation_mse/{name}"] == pytest.approx(loss, rel=1e-4)  # float32
     mean = (metrics["validation_mse/fatigue0"] + metrics["validation_mse/fatigue1"]) / 2
     assert metrics["validation_mse/fatigue"] == pytest.approx(mean)
-    steps, _ = curves.of_lane(0)["model/validation_mse"]
+    assert fit.validation_loss == pytest.approx(sum(losses) / 4, rel=1e-4)
+    steps, _ = fit.curves["model/validation_mse/fatigue0"]
     assert steps == [7, 14, 21, 28, 35, 40]
 
 
@@ -178,36 +185,34 @@ def test_stops_when_no_network_improves() -> None:
     config = dataclasses.replace(
         TINY, updates=5000, learning_rate=3.0, validate_every=2, patience=3
     )
-    _, _, curves = fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU)
-    steps, _ = curves.of_lane(0)["model/validation_mse"]
+    curves = fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU).curves
+    steps, _ = curves["model/validation_mse/fatigue0"]
     assert steps[-1] < 5000
-    values = np.array([curves.of_lane(lane)["model/validation_mse"][1] for lane in range(4)])
+    values = np.array([curves[f"model/validation_mse/{name}"][1] for name in NAMES])
     best = values.argmin(axis=1)
     assert best.max() == len(steps) - 1 - config.patience
 
 
 def test_members_differ_and_do_not_feel_each_other() -> None:
-    four, _, _ = fit_recurrent_ensemble(LOG, TINY, lane_key("k"), CPU)
-    eight, _, _ = fit_recurrent_ensemble(
-        LOG, dataclasses.replace(TINY, members=3), lane_key("k"), CPU
-    )
+    four = fit_recurrent_ensemble(LOG, TINY, lane_key("k"), CPU).model
+    more = dataclasses.replace(TINY, members=3)
+    six = fit_recurrent_ensemble(LOG, more, lane_key("k"), CPU).model
     assert not torch.equal(four.weight[0], four.weight[1])
     for network, same in ((0, 0), (1, 1), (2, 3), (3, 4)):
         # forty updates in float32; stacking may change the order of sums
-        torch.testing.assert_close(four.weight[network], eight.weight[same], rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(four.weight[network], six.weight[same], rtol=1e-3, atol=1e-5)
 
 
 def test_storage(tmp_path: Path) -> None:
     ensemble = random_ensemble(LOG, 0)
-    path = tmp_path / "ensemble.safetensors"
-    ensemble.save(path)
-    loaded = RecurrentEnsemble.load(path)
+    ensemble.save(tmp_path)
+    loaded = RecurrentEnsemble.load(tmp_path)
     for name in ("weight", "readout", "low", "high"):
         assert torch.equal(getattr(loaded, name), getattr(ensemble, name))
     assert torch.equal(loaded.frames.scale, ensemble.frames.scale)
-    save_tensors(path, {"x": torch.zeros(1)}, {"format": "policy/1"})
+    save_tensors(tmp_path / "ensemble.safetensors", {"x": torch.zeros(1)}, {"format": "policy/1"})
     with pytest.raises(ValueError, match=r"ensemble\.safetensors holds 'policy/1', expected"):
-        RecurrentEnsemble.load(path)
+        RecurrentEnsemble.load(tmp_path)
 
 
 def test_logs_that_do_not_fit_are_refused() -> None:
@@ -226,15 +231,15 @@ def test_interrupted_equals_uninterrupted(
 ) -> None:
     save_always(monkeypatch, recurrent_fit)
 
-    def fit(checkpoint: Path | None) -> tuple:
+    def fit(checkpoint: Path | None) -> Fit:
         return fit_recurrent_ensemble(LOG, TINY, lane_key("resume"), CPU, checkpoint)
 
     expected = fit(None)
     found = killed_at(deaths, recurrent_fit._EnsembleLearner, fit, tmp_path / "c", monkeypatch)
-    assert torch.equal(found[0].weight, expected[0].weight)
-    assert torch.equal(found[0].readout, expected[0].readout)
-    assert found[1] == expected[1]
-    assert lanes(found[2], 4) == lanes(expected[2], 4)
+    assert torch.equal(found.model.weight, expected.model.weight)
+    assert torch.equal(found.model.readout, expected.model.readout)
+    assert found.metrics == expected.metrics
+    assert found.curves == expected.curves
 
 
 def test_what_was_best_survives_an_interruption(
@@ -246,16 +251,16 @@ def test_what_was_best_survives_an_interruption(
     )
     save_always(monkeypatch, recurrent_fit)
 
-    def fit(checkpoint: Path | None) -> tuple:
+    def fit(checkpoint: Path | None) -> Fit:
         return fit_recurrent_ensemble(LOG, config, lane_key("stop"), CPU, checkpoint)
 
     expected = fit(None)
-    steps, _ = expected[2].of_lane(0)["model/validation_mse"]
+    steps, _ = expected.curves["model/validation_mse/fatigue0"]
     learner = recurrent_fit._EnsembleLearner
     found = killed_at([steps[-1] - 1], learner, fit, tmp_path / "c", monkeypatch)
-    assert torch.equal(found[0].weight, expected[0].weight)
-    assert found[1] == expected[1]
-    assert lanes(found[2], 4) == lanes(expected[2], 4)
+    assert torch.equal(found.model.weight, expected.model.weight)
+    assert found.metrics == expected.metrics
+    assert found.curves == expected.curves
 
 
 @pytest.mark.slow
@@ -268,7 +273,7 @@ def test_part_of_the_default_budget_on_the_real_log() -> None:
     config = RecurrentEnsembleConfig(updates=400)
     log = generate(DATASETS["mediocre-1.0"], seed=0)
     key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
-    _, metrics, _ = fit_recurrent_ensemble(log, config, key, CPU)
+    metrics = fit_recurrent_ensemble(log, config, key, CPU).metrics
     assert metrics["validation_mse/fatigue"] <= 0.07
     assert metrics["validation_mse/consumption"] <= 0.025
 
@@ -281,6 +286,6 @@ def test_default_settings_reach_the_required_accuracy() -> None:
     """
     log = generate(DATASETS["mediocre-1.0"], seed=0)
     key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
-    _, metrics, _ = fit_recurrent_ensemble(log, RecurrentEnsembleConfig(), key, CPU)
+    metrics = fit_recurrent_ensemble(log, RecurrentEnsembleConfig(), key, CPU).metrics
     assert metrics["validation_mse/fatigue"] <= 0.05
     assert metrics["validation_mse/consumption"] <= 0.008

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.models.recurrent_transition import RecurrentTransition
 from components.models.rollout import MachineRule, VirtualMachine
 from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
 
@@ -38,7 +39,7 @@ def constant_ensemble(
 
 def machine(*ensembles: RecurrentEnsemble) -> VirtualMachine:
     scaling = Normaliser.stack([PLAIN] * len(ensembles))
-    return VirtualMachine(ensembles, RULE, scaling, CPU)
+    return VirtualMachine(RecurrentTransition(ensembles, CPU), RULE, scaling, CPU)
 
 
 def watched(virtual: VirtualMachine, actions: Tensor, history: Tensor = HISTORY) -> tuple:
@@ -49,7 +50,7 @@ def watched(virtual: VirtualMachine, actions: Tensor, history: Tensor = HISTORY)
         seen.append(observation.detach())
         return actions[len(seen) - 1].expand(*observation.shape[:2], -1)
 
-    rewards = virtual.unroll(history, act, len(actions))
+    rewards = torch.stack([s.rewards for s in virtual.unroll(history, act, len(actions))])
     return rewards, torch.stack(seen)
 
 
@@ -163,14 +164,15 @@ def test_gradients_flow_through_time() -> None:
         high=ensemble.high.double() + 9.0,
     )
     scaling = Normaliser(PLAIN.mean.double()[None], PLAIN.scale.double()[None])
-    virtual = VirtualMachine([ensemble], RULE, scaling, CPU)
+    virtual = VirtualMachine(RecurrentTransition([ensemble], CPU), RULE, scaling, CPU)
     matrix = 0.01 * torch.randn(18, 3, generator=torch.Generator().manual_seed(0)).double()
     discounts = 0.9 ** torch.arange(8).double()
 
     def total(weights: Tensor) -> Tensor:
-        rewards = virtual.unroll(
+        steps = virtual.unroll(
             HISTORY.double(), lambda seen: torch.tanh((seen - 50.0) @ weights / 10.0), 8
         )
+        rewards = torch.stack([step.rewards for step in steps])
         return (discounts[:, None, None] * rewards).sum()
 
     weights = matrix.requires_grad_()
@@ -190,8 +192,8 @@ def test_return_rises_where_less_is_consumed() -> None:
     ensemble.weight[1, 0, 2 + 1] = 0.5  # velocity into the first hidden unit
     ensemble.readout[1, 0, 0] = 2.0
     action = torch.zeros(3, requires_grad=True)
-    rewards = machine(ensemble).unroll(HISTORY, lambda seen: action.expand(1, 4, 3), 5)
-    rewards.sum().backward()
+    steps = machine(ensemble).unroll(HISTORY, lambda seen: action.expand(1, 4, 3), 5)
+    torch.stack([step.rewards for step in steps]).sum().backward()
     assert action.grad[0] < 0
     assert action.grad[1:].tolist() == [0.0, 0.0]
 

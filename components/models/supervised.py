@@ -1,0 +1,195 @@
+"""How supervised models are fitted: minibatches, a schedule, held-out losses, the best state kept.
+
+A model brings a stack of networks, a loss and a validation; :class:`StackedFit` steps all lanes at
+once (datasets, ensemble members), keeps for every lane the weights of its lowest held-out loss and
+stops when no lane has improved for a while. Interrupted fits continue to the same numbers.
+"""
+
+import copy
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import torch
+from torch import Tensor, nn
+
+from components.networks.checkpoint import (
+    load_optimizer_state,
+    module_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
+from components.networks.streams import LaneStreams
+from components.networks.training import Curves, TrainingLoop, adam
+
+__all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
+
+Series = tuple[Sequence[int], Sequence[float]]
+"""Steps and values of a learning curve."""
+
+SCHEDULES = ("constant", "cosine")
+"""Learning rates over the budget: as given, or falling to zero along half a cosine."""
+
+
+class Fitted(Protocol):
+    """A fitted model that can be stored."""
+
+    def save(self, folder: Path) -> None:
+        """Write the artifact into an existing folder."""
+
+
+M_co = TypeVar("M_co", bound=Fitted, covariant=True)
+
+
+@dataclass(frozen=True)
+class Fit(Generic[M_co]):
+    """What a fit returns.
+
+    Attributes:
+        model: The fitted model, in its state of lowest held-out loss.
+        validation_loss: Its loss on held-out trajectories, what hyperparameter search minimises.
+        metrics: Further numbers by name.
+        curves: Learning curves by name.
+    """
+
+    model: M_co
+    validation_loss: float
+    metrics: Mapping[str, float]
+    curves: Mapping[str, Series]
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """Whoever watches a fit.
+
+    Attributes:
+        progress: Told the finished fraction of the budget.
+        validated: Told the finished fraction and the held-out loss after every validation; what it
+            raises ends the fit, e.g. when a search gives a trial up.
+    """
+
+    progress: Callable[[float], None] = lambda fraction: None
+    validated: Callable[[float, float], None] = lambda fraction, loss: None
+
+
+UNWATCHED = Monitor()
+
+N = TypeVar("N", bound=nn.Module)
+
+
+class StackedFit(Generic[N]):
+    """A stack of networks on its way to the lowest held-out loss, lane by lane.
+
+    Args:
+        network: Lanes first in every parameter; a parameter may hold several rows a lane.
+        lanes: L.
+        loss: Training loss ``[L]`` and further metrics ``[L]`` of a network on the numbers drawn
+            for a step.
+        streams: Draws those numbers.
+        learning_rate: Of Adam, at the start.
+        schedule: Name in :data:`SCHEDULES`.
+        weight_decay: L2 term inside Adam.
+    """
+
+    def __init__(
+        self,
+        network: N,
+        lanes: int,
+        loss: Callable[[N, Mapping[str, Tensor]], tuple[Tensor, dict[str, Tensor]]],
+        streams: LaneStreams,
+        *,
+        learning_rate: float,
+        schedule: str = "constant",
+        weight_decay: float = 0.0,
+    ) -> None:
+        self.network, self.lanes = network, lanes
+        self.best = copy.deepcopy(network)
+        device = next(network.parameters()).device
+        self.best_loss = torch.full((lanes,), math.inf, device=device)
+        self.stale = torch.zeros(lanes, device=device)  # validations since a lane's best
+        self._loss, self._streams = loss, streams
+        self._rate, self._schedule = learning_rate, schedule
+        self._updates = 1
+        self._optimizer = adam(list(network.parameters()), learning_rate, weight_decay)
+
+    def run(
+        self,
+        validate: Callable[[N], Tensor],
+        names: Sequence[str],
+        *,
+        updates: int,
+        validate_every: int,
+        patience: int | None = None,
+        improvement: float = 0.0,
+        checkpoint: Path | None = None,
+        monitor: Monitor = UNWATCHED,
+    ) -> Curves:
+        """Train until the budget is spent or no lane improves any more.
+
+        Args:
+            validate: Held-out loss ``[L]`` of a network.
+            names: Of the lanes, stable across restarts.
+            updates: Budget.
+            validate_every: Updates between validations; the last update is validated too.
+            patience: Stop after so many validations in a row that improved no lane.
+            improvement: Smallest relative improvement that counts.
+            checkpoint: File to resume from and save to.
+            monitor: Told the progress and the mean held-out loss of the lanes' best states.
+
+        Returns:
+            The learning curves.
+        """
+        self._updates = updates
+
+        def after(done: int, curves: Curves) -> bool:
+            if done % validate_every and done != updates:
+                return False
+            with torch.no_grad():
+                losses = validate(self.network)
+            curves.add(done, {"model/validation_loss": losses})
+            self._keep_best(losses, improvement)
+            monitor.validated(done / updates, float(self.best_loss.mean()))
+            return patience is not None and bool((self.stale >= patience).all())
+
+        loop = TrainingLoop(
+            updates, names, checkpoint, log_every=validate_every, progress=monitor.progress
+        )
+        return loop.run(self, after)
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One step of all lanes down their training losses."""
+        if self._schedule == "cosine":
+            for group in self._optimizer.param_groups:
+                group["lr"] = self._rate * 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
+        loss, metrics = self._loss(self.network, self._streams.at(step))
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.sum().backward()
+        self._optimizer.step()
+        return {"model/train_loss": loss.detach()} | metrics
+
+    @torch.no_grad()
+    def _keep_best(self, losses: Tensor, improvement: float) -> None:
+        # The first finite loss counts as an improvement over infinity, whatever is asked.
+        better = losses < self.best_loss * (1.0 - improvement)
+        self.best_loss = torch.where(better, losses, self.best_loss)
+        self.stale = torch.where(better, torch.zeros_like(self.stale), self.stale + 1)
+        for kept, new in zip(self.best.parameters(), self.network.parameters(), strict=True):
+            rows = better.repeat_interleave(new.shape[0] // self.lanes)
+            kept.copy_(torch.where(rows.view(-1, *[1] * (new.ndim - 1)), new, kept))
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All that the next update depends on, lane axis first in every tensor."""
+        state = module_state({"network": self.network, "best": self.best})
+        state |= {"best_loss": self.best_loss, "stale": self.stale}
+        return state | prefixed("optimizer", optimizer_state(self._optimizer))
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned."""
+        self.network.load_state_dict(with_prefix("network", state))
+        self.best.load_state_dict(with_prefix("best", state))
+        self.best_loss.copy_(state["best_loss"])
+        self.stale.copy_(state["stale"])
+        load_optimizer_state(self._optimizer, with_prefix("optimizer", state))
