@@ -1,6 +1,6 @@
 """All speed measurements, one after the other: ``python -m benchmarks``, or ``make bench``."""
 
-from benchmarks import environment, lanes, model_free, pipeline, recurrent
+from benchmarks import ensemble_quality, environment, lanes, model_free, pipeline, recurrent
 from benchmarks.measure import machine
 
 __all__ = ["main"]
@@ -13,6 +13,7 @@ def main() -> None:
         "Industrial Benchmark": environment.report,
         "Five seeds as five lanes": lanes.report,
         "Recurrent transition ensemble": recurrent.report,
+        "Time to a reference-quality ensemble": ensemble_quality.report,
         "Pipeline": pipeline.report,
     }
     if beside := model_free.available():

@@ -13,6 +13,7 @@ import torch
 
 from benchmarks import __main__ as all_benchmarks
 from benchmarks import (
+    ensemble_quality,
     environment,
     lanes,
     measure,
@@ -248,7 +249,7 @@ def test_model_free_table_relates_seed_updates_to_those_of_the_peer() -> None:
 def test_all_benchmarks_are_printed_under_their_titles(
     beside: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    modules = (environment, lanes, recurrent, pipeline, *[model_free] * beside)
+    modules = (environment, lanes, recurrent, ensemble_quality, pipeline, *[model_free] * beside)
     for module in (*modules, model_free):
         monkeypatch.setattr(module, "report", lambda name=module.__name__: f"table of {name}")
     monkeypatch.setattr(model_free, "available", lambda: beside)
@@ -260,3 +261,24 @@ def test_all_benchmarks_are_printed_under_their_titles(
     assert printed.count("\n## ") == len(modules)
     skipped = f"Skipped the comparison with d3rlpy. {model_free.missing()}"
     assert (skipped in printed.splitlines()) is not beside
+
+
+def test_reference_quality_is_the_first_time_all_targets_are_good_enough() -> None:
+    steps = [1, 2, 3, 4]
+    curves = {
+        "fatigue": [(steps, [0.9, 0.3, 0.5, 0.1]), (steps, [0.9, 0.5, 0.4, 0.9])],
+        "consumption": [(steps, [0.1, 0.9, 0.9, 0.9])],
+    }
+    # best so far of the fatigue networks: 0.9, 0.4, 0.35, 0.25 in the mean
+    wanted = {"fatigue": 0.4, "consumption": 0.2}
+    assert ensemble_quality.first_good(curves, wanted) == 1
+    assert ensemble_quality.first_good(curves, wanted | {"fatigue": 0.3}) == 3
+    assert ensemble_quality.first_good(curves, wanted | {"consumption": 0.05}) is None
+
+
+def test_ensemble_quality_benchmark_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = replace(DATASETS["mediocre-1.0"], trajectories=4, steps=40)
+    monkeypatch.setattr(ensemble_quality, "DATASETS", {"mediocre-1.0": small})
+    text = ensemble_quality.report(config=replace(TINY, updates=6, validate_every=3))
+    assert [row[0] for row in cells(text)[1:]] == ["fatigue", "consumption"]
+    assert "Reference quality not reached; the whole fit took" in text

@@ -12,7 +12,7 @@ from torch import Tensor
 from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import MachineRule, VirtualMachine
+from components.models.rollout import MachineRule, VirtualMachine, discounted_sum
 from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
 
 LOG = make_log()
@@ -214,3 +214,65 @@ def test_cards_must_tell_how_actions_move_the_machine() -> None:
     card = dataclasses.replace(LOG.card, machine={"action_scale": [1.0]})
     with pytest.raises(ValueError, match="card of toy lacks 'steering_low' in its machine section"):
         MachineRule.of_card(card)
+
+
+def alone(ensemble: RecurrentEnsemble, member: int) -> RecurrentEnsemble:
+    """An ensemble of one of the members."""
+    pair = [member, ensemble.members + member]
+    return dataclasses.replace(
+        ensemble, weight=ensemble.weight[pair], readout=ensemble.readout[pair]
+    )
+
+
+def by_velocity(observation: Tensor) -> Tensor:
+    """A policy that reacts to the newest frame, so that copies drift apart."""
+    return torch.tanh((observation[..., 1:6] - 50.0) @ torch.eye(5, 3) / 10.0)
+
+
+def test_isolated_members_continue_their_own_copies() -> None:
+    """Member k's copies are the trajectories of a machine that has no other member."""
+    ensembles = [random_ensemble(LOG, name, members=3) for name in "ab"]
+    history = HISTORY.expand(2, -1, -1, -1)
+    steps = list(machine(*ensembles).unroll(history, by_velocity, 6, "isolated"))
+    assert steps[0].observations.shape == (2, 3 * 4, 18)
+    for member in range(3):
+        own = machine(*(alone(e, member) for e in ensembles)).unroll(history, by_velocity, 6)
+        for step, expected in zip(steps, own, strict=True):
+            for name in ("observations", "actions", "rewards", "frames"):
+                found = getattr(step, name).unflatten(1, (3, 4))[:, member]
+                torch.testing.assert_close(found, getattr(expected, name))
+    spread = steps[-1].rewards.unflatten(1, (3, 4)).std(dim=1)
+    assert (spread > 0).all(), "members agree, and the test shows nothing"
+
+
+def test_one_member_followed_throughout_is_that_member_in_isolation() -> None:
+    ensemble = random_ensemble(LOG, "c", members=3)
+    isolated = list(machine(ensemble).unroll(HISTORY, by_velocity, 5, "isolated"))
+    members = torch.tensor([2, 0, 1, 2])
+    followed = machine(ensemble).unroll(HISTORY, by_velocity, 5, members.expand(5, 1, 4))
+    for step, copies in zip(followed, isolated, strict=True):
+        found = copies.frames.unflatten(1, (3, 4))[0, members, torch.arange(4)]
+        torch.testing.assert_close(step.frames[0], found)
+
+
+def test_members_may_change_from_step_to_step() -> None:
+    ensemble = constant_ensemble([0.0, 1.0, -1.0], [0.0, -1.0, 1.25])
+    members = torch.tensor([[[0, 1, 2, 0]], [[2, 2, 1, 0]]])
+    steps = list(machine(ensemble).unroll(HISTORY, lambda seen: seen[..., :3] * 0, 2, members))
+    fatigue = torch.tensor([40.0, 44.0, 36.0])
+    for step, chosen in zip(steps, members, strict=True):
+        assert torch.equal(step.frames[0, :, 4], fatigue[chosen[0]])
+
+
+def test_noise_does_nothing_to_members_without_a_spread() -> None:
+    ensemble = random_ensemble(LOG, "d")
+    noise = torch.randn(3, 1, 2, 4, generator=torch.Generator().manual_seed(0))
+    plain = machine(ensemble).unroll(HISTORY, by_velocity, 3)
+    noisy = machine(ensemble).unroll(HISTORY, by_velocity, 3, noise=noise)
+    for first, second in zip(plain, noisy, strict=True):
+        assert torch.equal(first.rewards, second.rewards)
+
+
+def test_discounted_sum_by_hand() -> None:
+    rewards = [torch.tensor([1.0, 2.0]), torch.tensor([4.0, 0.0]), torch.tensor([8.0, 4.0])]
+    assert discounted_sum(rewards, 0.5).tolist() == [1 + 2 + 2, 2 + 0 + 1]
