@@ -1,6 +1,14 @@
 """All speed measurements, one after the other: ``python -m benchmarks``, or ``make bench``."""
 
-from benchmarks import ensemble_quality, environment, lanes, model_free, pipeline, recurrent
+from benchmarks import (
+    ensemble_quality,
+    environment,
+    lanes,
+    model_free,
+    pipeline,
+    recurrent,
+    wsbc,
+)
 from benchmarks.measure import machine
 
 __all__ = ["main"]
@@ -14,6 +22,7 @@ def main() -> None:
         "Five seeds as five lanes": lanes.report,
         "Recurrent transition ensemble": recurrent.report,
         "Time to a reference-quality ensemble": ensemble_quality.report,
+        "A swarm of policies": wsbc.report,
         "Pipeline": pipeline.report,
     }
     if beside := model_free.available():

@@ -27,7 +27,7 @@ from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Learner
 from flows.memory import keep_freed_memory
 
-__all__ = ["program", "report"]
+__all__ = ["UNTRAINED", "program", "report"]
 
 _SEEDS = 5
 _MEMBERS, _HIDDEN = 4, 30  # of the transition ensemble
@@ -55,7 +55,7 @@ def program(
     parts = Ingredients(
         data=LaneData([dataset] * len(seeds), device, module.FRAME_EPSILON),
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
-        models={name: [_MODELS[name](dataset)] * len(seeds) for name in module.NEEDS},
+        models={name: [UNTRAINED[name](dataset)] * len(seeds) for name in module.NEEDS},
     )
     learner: Learner = module.Learner(module.Config(**settings), parts)
     return learner
@@ -91,9 +91,10 @@ def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:
     )
 
 
-_MODELS: Mapping[str, Callable[[OfflineDataset], object]] = MappingProxyType(
+UNTRAINED: Mapping[str, Callable[[OfflineDataset], object]] = MappingProxyType(
     {"behaviour_policy": _behaviour, "recurrent_ensemble": _ensemble}
 )
+"""Models as they begin, of the usual sizes, by name."""
 
 
 def _updates(learners: Sequence[Learner], count: int) -> Callable[[], None]:

@@ -2,15 +2,27 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
 from components.environments import INDUSTRIAL_BENCHMARK_ID
-from flows.pipeline.plan import Node, Plan
+from flows.costs import model_cost, policy_cost
+from flows.model_choice import ModelChoice, choose_models
+from flows.pipeline.plan import Node, Plan, digest
 from flows.settings import Settings, SettingsError
 
-__all__ = ["COMPONENTS", "benchmark_plan", "data_plan", "sweep_name"]
+__all__ = [
+    "COMPONENTS",
+    "Variant",
+    "benchmark_plan",
+    "check_lengths",
+    "data_plan",
+    "model_choice",
+    "model_node",
+    "sweep_name",
+    "variants",
+]
 
 COMPONENTS = {
     "data_generation": 1,
@@ -29,6 +41,40 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
+@dataclass(frozen=True)
+class Variant:
+    """One of the policies that an algorithm is asked for.
+
+    Attributes:
+        algorithm: Name of the algorithm.
+        config: Its configuration object.
+        label: Name in tables and run names; the algorithm's own where there is only one variant.
+        tags: What sets it apart, for searches.
+    """
+
+    algorithm: str
+    config: Any
+    label: str
+    tags: Mapping[str, str] = field(default_factory=dict)
+
+
+def variants(settings: Settings, algorithm: str) -> list[Variant]:
+    """The policies that an algorithm is asked for: one, or one per value of one of its settings."""
+    config = settings.algorithm[algorithm]
+    if algorithm not in settings.variants:
+        return [Variant(algorithm, config, algorithm)]
+    name, chosen = settings.variants[algorithm]
+    return [
+        Variant(
+            algorithm,
+            replace(config, **{name: value}),
+            f"{algorithm}-{name}-{value:g}",
+            {name: f"{value:g}"},
+        )
+        for value in chosen
+    ]
+
+
 def _data_node(settings: Settings, name: str) -> Node:
     spec = settings.dataset[name]
     return Node(
@@ -42,57 +88,42 @@ def _data_node(settings: Settings, name: str) -> Node:
     )
 
 
-def _model_cost(name: str, model: Any) -> float:
-    """Core-seconds on a machine of 2026."""
-    if name == "recurrent_ensemble":
-        steps = model.warm_up + model.horizon
-        return 3.4e-7 * model.updates * model.batch * model.members * 2 * steps * model.hidden / 30
-    return 0.5 * float(model.epochs)
+def model_node(
+    name: str, model: Any, dataset: str, data: Node, seed: int = 0, *, shared: bool = True
+) -> Node:
+    """The node that fits a model.
 
-
-def _model_node(settings: Settings, name: str, dataset: str, data: Node) -> Node:
-    model = settings.model[name]
+    Args:
+        name: Of the model.
+        model: Its configuration object.
+        dataset: Name of the dataset.
+        data: The dataset's node.
+        seed: Of the fit. Models that all policies of a dataset share have seed 0.
+        shared: Whether they do, or else the fit belongs to the policies of this seed.
+    """
     return Node(
         component="model_fitting",
-        name=f"{name}/{dataset}",
-        task="flows.tasks:fit_model",
+        name=f"{name}/{dataset}" + ("" if shared else f"/seed{seed}"),
+        task="flows.fitting:fit_model",
         version=COMPONENTS["model_fitting"],
-        # The models of a dataset are shared by all seeds of all policies, so they have their own.
-        config={"model": name, "settings": _plain(asdict(model)), "seed": 0},
+        config={"model": name, "settings": _plain(asdict(model)), "seed": seed},
         inputs={"dataset": data},
-        tags={"dataset": dataset, "model": name},
-        cost=_model_cost(name, model),
+        tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
+        cost=model_cost(name, model),
     )
 
 
-_ROW_COST = {
-    "bc": 6e-6,
-    "ddpg": 2.2e-5,
-    "bcq": 3.3e-4,
-    "bear": 1.7e-4,
-    "brac": 6.5e-5,
-    "cql": 5.8e-4,
-    "td3_bc": 2.5e-5,
-    "lambda_td3_bc": 2.5e-5,
-    "rvs": 6e-5,
-}
-"""Core-seconds per transition of a batch at the default sizes, on a machine of 2026."""
-
-
-def _policy_cost(algorithm: str, config: Any) -> float:
-    if algorithm == "lion":
-        return 1.1e-5 * float(config.updates * config.trajectories * config.horizon)
-    return _ROW_COST[algorithm] * float(config.updates * config.batch)
-
-
 def _policy_node(
-    settings: Settings, algorithm: str, dataset: str, seed: int, inputs: Mapping[str, Node]
+    settings: Settings, variant: Variant, dataset: str, seed: int, inputs: Mapping[str, Node]
 ) -> Node:
+    algorithm, config = variant.algorithm, variant.config
     module = ALGORITHMS[algorithm]
-    config = settings.algorithm[algorithm]
+    # A stack has one configuration, and models of one shape.
+    models = {role: inputs[role].config["settings"] for role in module.NEEDS}
+    kind = digest([_plain(asdict(config)), models], 4)
     return Node(
         component="policy_training",
-        name=f"{algorithm}/{dataset}/seed{seed}",
+        name=f"{variant.label}/{dataset}/seed{seed}",
         task="flows.tasks:train",
         version=COMPONENTS["policy_training"],
         config={
@@ -103,14 +134,15 @@ def _policy_node(
             "seed": seed,
         },
         inputs={role: inputs[role] for role in ("dataset", *module.NEEDS)},
-        tags={"dataset": dataset, "algorithm": algorithm, "seed": str(seed)},
-        lanes=f"train/{algorithm}" + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
-        cost=_policy_cost(algorithm, config),
+        tags={"dataset": dataset, "algorithm": algorithm, "seed": str(seed), **variant.tags},
+        lanes=f"train/{algorithm}/{kind}"
+        + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
+        cost=policy_cost(algorithm, config),
     )
 
 
-def _evaluation_node(settings: Settings, policy: Node, behaviour: Node) -> Node:
-    dataset, algorithm = policy.tags["dataset"], policy.tags["algorithm"]
+def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:
+    dataset, algorithm = policy.tags["dataset"], variant.algorithm
     spec = settings.dataset[dataset]
     protocol = settings.evaluation.model_dump() | {"discount": spec.discount}
     steered = ALGORITHMS[algorithm].TAKES_LAMBDA
@@ -128,27 +160,27 @@ def _evaluation_node(settings: Settings, policy: Node, behaviour: Node) -> Node:
         },
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
-        lanes=f"evaluate/{algorithm}/{dataset}",
+        lanes=f"evaluate/{variant.label}/{dataset}",
         cost=0.1 + 1e-3 * settings.training.snapshots * lambdas * settings.evaluation.trajectories,
     )
 
 
-def _aggregation_node(settings: Settings, evaluations: Mapping[int, Node]) -> Node:
-    tags = next(iter(evaluations.values())).tags
-    dataset, algorithm = tags["dataset"], tags["algorithm"]
+def _aggregation_node(
+    settings: Settings, variant: Variant, dataset: str, evaluations: Mapping[int, Node]
+) -> Node:
     return Node(
         component="aggregation",
-        name=f"aggregate/{algorithm}/{dataset}",
+        name=f"aggregate/{variant.label}/{dataset}",
         task="flows.tasks:aggregate",
         version=COMPONENTS["aggregation"],
         config={
             "dataset": dataset,
-            "algorithm": algorithm,
+            "algorithm": variant.label,
             "seeds": sorted(evaluations),
             "pool_fraction": settings.aggregation.pool_fraction,
         },
         inputs={f"seed{seed}": node for seed, node in evaluations.items()},
-        tags={"dataset": dataset, "algorithm": algorithm},
+        tags={"dataset": dataset, "algorithm": variant.algorithm, **variant.tags},
         cost=0.1,
     )
 
@@ -158,31 +190,72 @@ def data_plan(settings: Settings) -> Plan:
     return Plan([_data_node(settings, name) for name in settings.datasets])
 
 
-def benchmark_plan(settings: Settings) -> Plan:
-    """The whole grid: datasets x algorithms x seeds, with all they need.
+def _needed_models(settings: Settings) -> list[str]:
+    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].NEEDS}
+    return sorted(needed | {"behaviour_policy"})  # which judges distances
+
+
+def model_choice(settings: Settings) -> ModelChoice:
+    """Settings of every model that the benchmark needs.
 
     Raises:
-        SettingsError: If the trajectories are too short for the models.
+        SettingsError: Tuned ones are asked for and cannot be had.
     """
-    model = settings.model["recurrent_ensemble"]
-    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].NEEDS}
-    if "recurrent_ensemble" in needed and settings.data.steps < model.warm_up + model.horizon:
+    data = {name: _data_node(settings, name) for name in settings.datasets}
+    return choose_models(settings, _needed_models(settings), data)
+
+
+def check_lengths(settings: Settings, model: Any) -> None:
+    """Refuse trajectories that are too short for a recurrent ensemble.
+
+    Raises:
+        SettingsError: They are.
+    """
+    if settings.data.steps < model.warm_up + model.horizon:
         raise SettingsError(
             f"data.steps={settings.data.steps} is less than warm_up + horizon = "
             f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
             "lower the others."
         )
+
+
+def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
+    """The whole grid: datasets x algorithms x seeds, with all they need.
+
+    Args:
+        settings: What is wanted.
+        choice: Settings of the models, if they are known already.
+
+    Raises:
+        SettingsError: If the trajectories are too short for the models.
+    """
+    choice = choice or model_choice(settings)
+    for (_, name), config in choice.configs.items():
+        if name == "recurrent_ensemble":
+            check_lengths(settings, config)
     nodes = []
     for dataset in settings.datasets:
-        inputs = {"dataset": _data_node(settings, dataset)}
-        for name in sorted(needed | {"behaviour_policy"}):  # which judges distances
-            inputs[name] = _model_node(settings, name, dataset, inputs["dataset"])
+        data = _data_node(settings, dataset)
+        own = settings.models.per_seed
+        seeds = settings.seeds if own else (0,)
+        models = {
+            seed: {
+                name: model_node(name, config, dataset, data, seed, shared=not own)
+                for (of, name), config in choice.configs.items()
+                if of == dataset
+            }
+            for seed in seeds
+        }
+        judge = choice.configs[dataset, "behaviour_policy"]
+        behaviour = model_node("behaviour_policy", judge, dataset, data)
         for algorithm in settings.algorithms:
-            evaluations = {}
-            for seed in settings.seeds:
-                policy = _policy_node(settings, algorithm, dataset, seed, inputs)
-                evaluations[seed] = _evaluation_node(settings, policy, inputs["behaviour_policy"])
-            nodes.append(_aggregation_node(settings, evaluations))
+            for variant in variants(settings, algorithm):
+                evaluations = {}
+                for seed in settings.seeds:
+                    inputs = {"dataset": data, **models[seed if own else 0]}
+                    policy = _policy_node(settings, variant, dataset, seed, inputs)
+                    evaluations[seed] = _evaluation_node(settings, variant, policy, behaviour)
+                nodes.append(_aggregation_node(settings, variant, dataset, evaluations))
     return Plan(nodes)
 
 

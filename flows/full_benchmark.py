@@ -1,6 +1,7 @@
 """The whole benchmark: ``python -m flows.full_benchmark profile=quick``."""
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from components.reporting.tables import (
     result_rows,
     results_csv,
 )
-from flows.benchmark import benchmark_plan, sweep_name
+from flows.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.pipeline.files import write_text
 from flows.pipeline.plan import Plan
 from flows.pipeline.runner import Outcome
@@ -33,6 +34,9 @@ report. Everything finished is kept under mlruns/ and reused; the same command c
   datasets=[a,b]               names in conf/dataset, or all
   algorithms=[a,b]             names in conf/algorithm, or all
   seeds=[0,1]                  whole numbers
+  models=tuned                 fit models with the settings that flows.tune_models has found
+  models.per_seed=true         one fit of every model per policy seed instead of one for all
+  mopo_penalties=sweep         one MOPO policy per penalty 0, 0.1 ... 2.5; or a list of numbers
   dry_run=true                 show the plan and stop
   sweep=NAME                   name of the sweep and its report folder
   algorithm.NAME.KEY=VALUE     any setting of conf/, e.g. algorithm.lion.updates=200
@@ -54,11 +58,13 @@ def write_report(
     """
     folder.mkdir(parents=True, exist_ok=True)
     done = [node for node in plan if store.complete(node.key)]
+    judged = [node for node in done if node.component == "aggregation"]
     summaries = [
         json.loads((store.path(node.key) / "summary.json").read_text(encoding="utf-8"))
-        for node in done
-        if node.component == "aggregation"
+        for node in judged
     ]
+    # Dozens of lines of one algorithm's variants would hide the others: these are in the table.
+    drawn = [s for n, s in zip(judged, summaries, strict=True) if s["algorithm"] in n.tags.values()]
     rows = result_rows(summaries)
     table, text = folder / "results.csv", folder / "results.md"
     write_text(table, results_csv(rows))
@@ -72,7 +78,7 @@ def write_report(
         card = DatasetCard.from_json(card_file.read_text(encoding="utf-8"))
         figure = proximity_figure(
             card.name,
-            [s for s in summaries if s["dataset"] == card.name],
+            [s for s in drawn if s["dataset"] == card.name],
             card.first_window_return_mean,
         )
         if figure is not None:
@@ -93,7 +99,11 @@ def _headline(summaries: Sequence[dict[str, Any]]) -> Metrics:
 
 
 def _run(settings: Settings) -> int:
-    plan = benchmark_plan(settings)
+    choice = model_choice(settings)
+    plan = benchmark_plan(settings, choice)
+    if settings.models.source == "tuned":
+        for line in choice.lines():
+            print(line, file=sys.stderr)
     name = sweep_name(settings, plan)
     folder = Path(settings.store) / "reports" / name
 

@@ -15,22 +15,34 @@ from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
-from flows.settings import Settings, SettingsError, load_settings
+from flows.settings import ALIASES, Settings, SettingsError, load_settings
 
-__all__ = ["Metrics", "Report", "main", "run_sweep"]
+__all__ = ["Metrics", "Report", "command_words", "main", "make_executor", "run_sweep"]
 
 Metrics = Mapping[str, Sequence[tuple[int, float]]]
 Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
-def main(door: str, help_text: str, body: Callable[[Settings], int]) -> None:
-    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0."""
+def main(
+    door: str,
+    help_text: str,
+    body: Callable[[Settings], int],
+    aliases: Mapping[str, str] = ALIASES,
+) -> None:
+    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
+
+    Args:
+        door: Its name.
+        help_text: What it says about itself.
+        body: What it does.
+        aliases: Short keys of its command line and what they stand for.
+    """
     arguments = sys.argv[1:]
     if any(word in ("-h", "--help", "help") for word in arguments):
         print(help_text)
         sys.exit(0)
     try:
-        settings = load_settings(arguments)
+        settings = load_settings(arguments, aliases)
     except SettingsError as error:
         print(f"{door}: {error}", file=sys.stderr)
         sys.exit(2)
@@ -48,7 +60,12 @@ def main(door: str, help_text: str, body: Callable[[Settings], int]) -> None:
     sys.exit(code)
 
 
-def _executor(settings: Settings) -> Executor:
+def make_executor(settings: Settings) -> Executor:
+    """Who does the work.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
     runner = settings.runner
     device = runner.device
     if device == "auto":
@@ -76,13 +93,13 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     # What a dry run prints is its result.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
-    executor = _executor(settings)
+    executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
     display.show_plan(plan, store, executor.slots)
     if settings.dry_run:
         return 0
-    command = shlex.join(["python", *_command_words()])
-    ledger = MlflowLedger(settings.store, source=_command_words()[1])
+    command = shlex.join(["python", *command_words()])
+    ledger = MlflowLedger(settings.store, source=command_words()[1])
     tags = {
         "profile": settings.profile_name,
         "command": command,
@@ -112,7 +129,8 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
     return outcome.exit_code
 
 
-def _command_words() -> list[str]:
+def command_words() -> list[str]:
+    """The command line behind ``python``."""
     module = getattr(sys.modules["__main__"], "__spec__", None)
     return ["-m", module.name if module else sys.argv[0], *sys.argv[1:]]
 

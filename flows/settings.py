@@ -17,21 +17,20 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
 from components.data.catalogue import DatasetSpec
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
+from flows.checking import SettingsError, build_config, check_group, sentence
 
-__all__ = ["CONF", "Settings", "SettingsError", "load_settings"]
+__all__ = ["ALIASES", "CONF", "Settings", "SettingsError", "load_settings"]
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 
-
-class SettingsError(ValueError):
-    """Something on the command line or in conf/ is wrong; the message is one sentence."""
+ALIASES: Mapping[str, str] = {"models": "models.source"}
+"""Short keys of the command line and what they stand for; a door may have others."""
 
 
 class _Strict(BaseModel):
@@ -76,10 +75,27 @@ class RunnerSettings(_Strict):
     stack: Literal["pair", "algorithm"]
 
 
+class ModelsSettings(_Strict):
+    """Which models policies are trained with."""
+
+    source: Literal["default", "tuned"]
+    per_seed: bool
+    folder: Path
+
+
+class TuningSettings(_Strict):
+    """What a hyperparameter search searches, and how long."""
+
+    models: tuple[str, ...]
+    trials: int = Field(ge=1)
+
+
 class Settings(_Strict):
     """A complete, checked configuration.
 
     Attributes:
+        variants: By algorithm, one of its settings and the values it takes one after the other.
+        model_words: By model, the first word of the command line that changes a setting of it.
         dataset: Every dataset of conf/dataset by name, with sizes filled in.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
@@ -97,6 +113,10 @@ class Settings(_Strict):
     evaluation: EvaluationSettings
     aggregation: AggregationSettings
     runner: RunnerSettings
+    models: ModelsSettings
+    tuning: TuningSettings
+    variants: dict[str, tuple[str, tuple[float, ...]]]
+    model_words: dict[str, str]
     store: Path
     dry_run: bool
     dataset: dict[str, DatasetSpec]
@@ -113,11 +133,12 @@ def _hint(word: str, valid: Iterable[str]) -> str:
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
-def load_settings(overrides: Sequence[str]) -> Settings:
+def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES) -> Settings:
     """Compose and check a configuration.
 
     Args:
         overrides: Command line words such as ``profile=quick`` or ``seeds=[0,1]``.
+        aliases: Short keys and what they stand for.
 
     Raises:
         SettingsError: Unknown key, name or value; one sentence.
@@ -131,7 +152,7 @@ def load_settings(overrides: Sequence[str]) -> Settings:
         if key == "profile":
             profile = value
         else:
-            rest.append(word)
+            rest.append(f"{aliases.get(key, key)}={value}")
     if profile not in _names("profile"):
         raise SettingsError(
             f"Unknown profile {profile!r}; valid ones are {', '.join(_names('profile'))}."
@@ -139,8 +160,13 @@ def load_settings(overrides: Sequence[str]) -> Settings:
         )
     base = _compose(profile)
     _check_keys(rest, base)
+    model_words: dict[str, str] = {}
+    for word in rest:
+        if word.startswith("model."):
+            model_words.setdefault(word.split(".")[1], word)
     try:
-        return _check(OmegaConf.merge(base, _parse(rest)))  # type: ignore[arg-type]
+        merged = OmegaConf.merge(base, _parse(rest))
+        return _check(merged, model_words)  # type: ignore[arg-type]
     except OmegaConfBaseException as error:
         raise SettingsError(f"{_first_line(error)}; write a plain value.") from error
 
@@ -210,10 +236,11 @@ def _check_keys(overrides: Sequence[str], base: DictConfig) -> None:
             walked.append(part)
 
 
-def _check(config: DictConfig) -> Settings:
+def _check(config: DictConfig, model_words: Mapping[str, str]) -> Settings:
     values: Any = OmegaConf.to_container(config, resolve=True)
+    values["model_words"] = dict(model_words)
     for group in ("dataset", "algorithm", "model"):
-        _check_group(group, values[group])
+        check_group(group, values[group])
     if values["store"] == "":
         raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
     values["datasets"] = _select("dataset", values["datasets"])
@@ -225,15 +252,15 @@ def _check(config: DictConfig) -> Settings:
         raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
     values["seeds"] = seeds
     try:
-        data = _build(DataSettings, "data", values["data"])
+        data = build_config(DataSettings, "data", values["data"])
         sizes = {"trajectories": data.trajectories, "steps": data.steps}
         values["dataset"] = {
-            name: _build(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
+            name: build_config(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
             for name, fields in values["dataset"].items()
         }
         for group, known in (("algorithm", _algorithm_configs()), ("model", _model_configs())):
             values[group] = {
-                name: _build(known[name], f"{group}.{name}", fields)
+                name: build_config(known[name], f"{group}.{name}", fields)
                 for name, fields in values[group].items()
             }
         sections = (
@@ -241,13 +268,18 @@ def _check(config: DictConfig) -> Settings:
             ("evaluation", EvaluationSettings),
             ("aggregation", AggregationSettings),
             ("runner", RunnerSettings),
+            ("models", ModelsSettings),
+            ("tuning", TuningSettings),
         )
-        values |= {name: _build(kind, name, values[name]) for name, kind in sections}
+        check_group("tuning", values["tuning"])
+        values["tuning"]["models"] = _select("model", values["tuning"].get("models"))
+        values |= {name: build_config(kind, name, values[name]) for name, kind in sections}
         values["data"] = data
+        values["variants"] = _variants(values)
         settings = Settings(**values)
         EvaluationConfig(**settings.evaluation.model_dump())
     except ValidationError as error:
-        raise SettingsError(_sentence(error, "")) from error
+        raise SettingsError(sentence(error, "")) from error
     except ValueError as error:
         raise SettingsError(str(error)) from error
     _check_snapshots(settings)
@@ -260,6 +292,31 @@ def _algorithm_configs() -> Mapping[str, type]:
 
 def _model_configs() -> Mapping[str, type]:
     return {name: kind.config for name, kind in MODELS.items()}
+
+
+def _variants(values: dict[str, Any]) -> dict[str, tuple[str, tuple[float, ...]]]:
+    """Takes the options that ask for several policies of one algorithm."""
+    penalties = values.pop("mopo_penalties")
+    if penalties is None:
+        return {}
+    if penalties == "sweep":
+        penalties = [round(0.1 * k, 1) for k in range(26)]  # thesis 6.3
+    chosen = penalties if isinstance(penalties, list) else [penalties]
+    numbers = all(isinstance(p, int | float) and not isinstance(p, bool) for p in chosen)
+    if not chosen or not numbers or len(set(chosen)) != len(chosen):
+        raise SettingsError(
+            f"mopo_penalties={penalties} must be null, sweep or a list of different numbers."
+        )
+    if "mopo" not in values["algorithms"]:
+        raise SettingsError(
+            "mopo_penalties is given, but mopo is not among the algorithms; add it."
+        )
+    for penalty in chosen:
+        try:
+            dataclasses.replace(values["algorithm"]["mopo"], penalty=float(penalty))
+        except ValueError as error:
+            raise SettingsError(f"mopo_penalties={penalties}: {error}") from error
+    return {"mopo": ("penalty", tuple(map(float, chosen)))}
 
 
 def _check_snapshots(settings: Settings) -> None:
@@ -288,41 +345,3 @@ def _select(group: str, chosen: Any) -> list[str]:
     if len(set(names)) != len(names):
         raise SettingsError(f"{group}s={names} names one twice.")
     return names
-
-
-def _check_group(path: str, fields: Any) -> None:
-    if not isinstance(fields, Mapping):
-        raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
-
-
-def _build(kind: type, path: str, fields: Mapping[str, Any]) -> Any:
-    """A configuration object, its types and ranges checked."""
-    _check_group(path, fields)
-    for name, value in fields.items():
-        if isinstance(value, bool):  # pydantic would take it for a number
-            raise SettingsError(f"{path}.{name}={str(value).lower()}: Input should be no boolean.")
-    if issubclass(kind, BaseModel):
-        names = list(kind.model_fields)
-    else:
-        names = [field.name for field in dataclasses.fields(kind)]
-    try:
-        if issubclass(kind, BaseModel):
-            return kind(**fields)
-        config = ConfigDict(extra="forbid", allow_inf_nan=False)
-        strict = checked_dataclass(kind, config=config, frozen=True)
-        checked = TypeAdapter(strict).validate_python(dict(fields))
-    except ValidationError as error:
-        raise SettingsError(_sentence(error, path, names)) from error
-    # Hand on the component's own class: the wrapper is for checking only.
-    return kind(**{name: getattr(checked, name) for name in names})
-
-
-def _sentence(error: ValidationError, path: str, names: Sequence[str] = ()) -> str:
-    first = error.errors()[0]
-    where = ".".join([path, *map(str, first["loc"])] if path else map(str, first["loc"]))
-    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"Unknown key {where!r}; valid keys there: {', '.join(names)}."
-    reason = first["msg"].removeprefix("Value error, ")
-    if not first["loc"] or first["type"] == "value_error":
-        return f"{where}: {reason}" if where else reason
-    return f"{where}={first['input']!r}: {reason}."

@@ -1,15 +1,15 @@
 """The components as task functions of the pipeline: read inputs, call the science, write artifacts.
 
+Model fitting has a module of its own, :mod:`flows.fitting`.
+
 Each function gets the nodes of one group. Seeds of one (dataset, algorithm) pair arrive together
 and are trained and evaluated as lanes of one program; what a lane computes does not depend on the
 others.
 """
 
-import json
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,59 +19,28 @@ from components.algorithms import ALGORITHMS
 from components.algorithms.base import Ingredients
 from components.algorithms.train import train_policies
 from components.data.catalogue import DatasetSpec, generate
-from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.evaluation.real import EvaluationConfig, evaluate_policies
 from components.models import MODELS
-from components.models.supervised import Monitor
 from components.networks.policy import Policy
 from components.networks.streams import lane_key
+from flows.fitting import (
+    config_object,
+    note_dataset,
+    open_dataset,
+    read_input,
+    write_curves,
+    write_numbers,
+)
 from flows.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 
 __all__ = [
     "aggregate",
     "evaluate",
-    "fit_model",
     "generate_dataset",
     "train",
 ]
-
-T = TypeVar("T")
-
-
-def _write_json(path: Path, value: Any) -> None:
-    path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
-
-
-def _write_curves(path: Path, curves: Mapping[str, tuple[Sequence[int], Sequence[float]]]) -> None:
-    arrays = {}
-    for name, (steps, values) in curves.items():
-        arrays[f"{name}/step"] = np.asarray(steps, dtype=np.int64)
-        arrays[f"{name}/value"] = np.asarray(values, dtype=np.float64)
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
-
-
-def _read(job: Job, role: str, reader: Callable[[Path], T], name: str) -> T:
-    """Read an input; a damaged one is named with its remedy."""
-    folder = job.inputs[role]
-    try:
-        return reader(folder / name)
-    except (ValueError, FileNotFoundError) as error:
-        raise ValueError(
-            f"{error} To have it rebuilt, delete {folder} and give the same command again."
-        ) from error
-
-
-def _open_dataset(job: Job) -> OfflineDataset:
-    return _read(job, "dataset", OfflineDataset.open, "dataset")
-
-
-def _note_dataset(job: Job, dataset: OfflineDataset) -> None:
-    card = dataset.card
-    entry = {"name": card.name, "digest": card.digest[:32], "source": card.environment}
-    _write_json(job.out / "datasets.json", [entry])
 
 
 def _inherit_datasets(job: Job, role: str) -> None:
@@ -93,18 +62,13 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"{path} is damaged ({error}).") from error
 
 
-def _tuples(kind: type, fields: Mapping[str, Any]) -> Any:
-    """A configuration object from JSON, where tuples have become lists."""
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
-
-
 def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
     """Data generation: `dataset/` holds the arrays and the card."""
     for job in jobs:
         dataset = generate(DatasetSpec(**job.config["spec"]), job.config["seed"])
         dataset.write(job.out / "dataset")
         card = dataset.card
-        _write_json(
+        write_numbers(
             job.out / "metrics.json",
             {
                 "return/first_window_mean": card.first_window_return_mean,
@@ -114,28 +78,7 @@ def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
                 "transitions": dataset.transitions,
             },
         )
-        _note_dataset(job, dataset)
-
-
-def fit_model(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Model fitting: `model/` holds the fitted model of the job's kind."""
-    for job in jobs:
-        kind = MODELS[job.config["model"]]
-        dataset = _open_dataset(job)
-        fit = kind.fit(
-            dataset,
-            _tuples(kind.config, job.config["settings"]),
-            lane_key(dataset.card.name, job.config["model"], job.config["seed"]),
-            torch.device(context.device),
-            context.work / f"{job.key}.safetensors",
-            Monitor(context.progress, context.validated),
-        )
-        (job.out / "model").mkdir()
-        fit.model.save(job.out / "model")
-        loss = {"validation_loss": fit.validation_loss}
-        _write_json(job.out / "metrics.json", loss | dict(fit.metrics))
-        _write_curves(job.out / "curves.npz", fit.curves)
-        _note_dataset(job, dataset)
+        note_dataset(job, dataset)
 
 
 def train(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -143,8 +86,8 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
     keep_freed_memory()
     algorithm = jobs[0].config["algorithm"]
     module = ALGORITHMS[algorithm]
-    config = _tuples(module.Config, jobs[0].config["settings"])
-    datasets = [_open_dataset(job) for job in jobs]
+    config = config_object(module.Config, jobs[0].config["settings"])
+    datasets = [open_dataset(job) for job in jobs]
     data = LaneData(datasets, torch.device(context.device), module.FRAME_EPSILON)
     parts = Ingredients(
         data=data,
@@ -153,7 +96,7 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
             for d, j in zip(datasets, jobs, strict=True)
         ],
         models={
-            name: [_read(job, name, MODELS[name].load, "model") for job in jobs]
+            name: [read_input(job, name, MODELS[name].load, "model") for job in jobs]
             for name in module.NEEDS
         },
     )
@@ -172,20 +115,20 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
-        _write_curves(job.out / "curves.npz", curves.of_lane(lane))
+        write_curves(job.out / "curves.npz", curves.of_lane(lane))
         if policy.card.ended_at is not None:
-            _write_json(job.out / "metrics.json", {"training/ended_at": policy.card.ended_at})
-        _note_dataset(job, datasets[lane])
+            write_numbers(job.out / "metrics.json", {"training/ended_at": policy.card.ended_at})
+        note_dataset(job, datasets[lane])
 
 
 def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
     """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
     first = jobs[0].config
     config = EvaluationConfig(**first["evaluation"])
-    policies = [_read(job, "policy", Policy.load, "policy") for job in jobs]
+    policies = [read_input(job, "policy", Policy.load, "policy") for job in jobs]
     results = evaluate_policies(
         policies,
-        [_read(job, "behaviour_policy", Policy.load, "model") for job in jobs],
+        [read_input(job, "behaviour_policy", Policy.load, "model") for job in jobs],
         first["environment"],
         first["parameters"],
         config,
@@ -216,7 +159,7 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
             percent = _percent(result.lambdas)
             curves["over_lambda/return"] = (percent, means[-1])
             curves["over_lambda/distance"] = (percent, result.distances[-1])
-        _write_curves(job.out / "curves.npz", curves)
+        write_curves(job.out / "curves.npz", curves)
         _inherit_datasets(job, "policy")
 
 
@@ -226,7 +169,7 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         seeds = job.config["seeds"]
         stored = []
         for seed in seeds:
-            stored.append(_read(job, f"seed{seed}", _load_arrays, "returns.npz"))
+            stored.append(read_input(job, f"seed{seed}", _load_arrays, "returns.npz"))
         last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
         pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
@@ -255,12 +198,12 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
             "ended_at": ended,  # seeds whose loss became infinite or undefined, and when
             "points": points,
         }
-        _write_json(job.out / "summary.json", summary)
+        write_numbers(job.out / "summary.json", summary)
         shown = ("tenth_percentile", "standard_error", "mean", "std", "iqm", "distance")
         if points[0]["lambda"] is None:
-            _write_json(job.out / "metrics.json", {name: points[0][name] for name in shown})
+            write_numbers(job.out / "metrics.json", {name: points[0][name] for name in shown})
         else:
             percent = _percent(stored[0]["lambdas"])
             curves = {f"over_lambda/{n}": (percent, [p[n] for p in points]) for n in shown}
-            _write_curves(job.out / "curves.npz", curves)
+            write_curves(job.out / "curves.npz", curves)
         _inherit_datasets(job, f"seed{seeds[0]}")

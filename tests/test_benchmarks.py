@@ -21,12 +21,15 @@ from benchmarks import (
     peer_d3rlpy,
     pipeline,
     recurrent,
+    wsbc,
 )
 from components.algorithms import ALGORITHMS
+from components.algorithms import wsbc as wsbc_learner
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.models.recurrent_ensemble import RecurrentEnsembleConfig
+from components.models.rollout import MachineRule
 from components.networks import LaneStreams
 
 TINY = RecurrentEnsembleConfig(members=2, hidden=5, warm_up=4, horizon=6, batch=7)
@@ -119,6 +122,32 @@ def test_recurrent_table() -> None:
     assert [row[0] for row in rows] == [
         "plain loop, one network at a time",
         "stacked scan, 4 networks",
+    ]
+    assert rows[0][-1] == "1.0"
+
+
+SWARM = {"particles": 3, "neighbourhood": 3, "starts": 4, "horizon": 5}
+
+
+def test_the_plain_loop_of_a_policy_s_return_computes_what_the_swarm_does() -> None:
+    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=2), seed=0)
+    settings = SWARM | {"particles": 1, "neighbourhood": 1}  # the clone alone
+    learner = lanes.program("wsbc", dataset, [0], torch.device("cpu"), **settings)
+    found = learner.update(0)["policy/virtual_return"]
+    policy, ensemble = (lanes.UNTRAINED[n](dataset) for n in wsbc_learner.NEEDS)
+    rule = MachineRule.of_card(dataset.card)
+    plain = wsbc.plain_return(policy, ensemble, rule, learner._history[0], 5, 0.97)
+    # 34 recurrent steps of float32 sums in another order
+    torch.testing.assert_close(plain, found[0], rtol=1e-5, atol=0)
+
+
+def test_swarm_table() -> None:
+    header, *rows = cells(wsbc.report(repetitions=1, trajectories=2, settings=SWARM))
+    assert header[0] == "iteration"
+    assert [row[0] for row in rows] == [
+        "plain loop, one particle at a time",
+        "swarm, 1 lane",
+        "swarm, 5 lanes",
     ]
     assert rows[0][-1] == "1.0"
 
@@ -249,7 +278,15 @@ def test_model_free_table_relates_seed_updates_to_those_of_the_peer() -> None:
 def test_all_benchmarks_are_printed_under_their_titles(
     beside: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    modules = (environment, lanes, recurrent, ensemble_quality, pipeline, *[model_free] * beside)
+    modules = (
+        environment,
+        lanes,
+        recurrent,
+        ensemble_quality,
+        wsbc,
+        pipeline,
+        *[model_free] * beside,
+    )
     for module in (*modules, model_free):
         monkeypatch.setattr(module, "report", lambda name=module.__name__: f"table of {name}")
     monkeypatch.setattr(model_free, "available", lambda: beside)

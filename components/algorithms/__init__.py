@@ -20,8 +20,13 @@ from components.algorithms import (
     ddpg,
     lambda_td3_bc,
     lion,
+    model_based,
+    moose,
+    mopo,
+    morel,
     rvs,
     td3_bc,
+    wsbc,
 )
 
 __all__ = ["ALGORITHMS"]
@@ -36,7 +41,12 @@ ALGORITHMS: Final[Mapping[str, ModuleType]] = MappingProxyType(
         "cql": cql,
         "td3_bc": td3_bc,
         "lion": lion,
+        "model_based": model_based,
+        "wsbc": wsbc,
+        "moose": moose,
         "lambda_td3_bc": lambda_td3_bc,
         "rvs": rvs,
+        "mopo": mopo,
+        "morel": morel,
     }
 )

@@ -17,18 +17,14 @@ standardised. The cloning batch is drawn from the whole dataset (the authors' co
 first part).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, first_rows
-from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import VirtualMachine, discounted_sum
+from components.algorithms.base import Ingredients, StackedLearner, descend
+from components.algorithms.virtual_returns import VirtualReturns
+from components.models.rollout import discounted_sum
 from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
 from components.networks.policy import LAMBDA_SCALING, Policy, PolicyCard
 from components.networks.training import adam
@@ -76,33 +72,26 @@ class Learner(StackedLearner):
     """A stack of LION policies, one lane per (dataset, seed)."""
 
     def __init__(self, config: Config, parts: Ingredients) -> None:
-        self._config, self._parts, self._data = config, parts, parts.data
+        self._config, self._data = config, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
         clones = parts.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
-        ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
-        self._machine = VirtualMachine(
-            RecurrentTransition(ensembles, device), parts.machine, data.frame_scaling, device
-        )
-        self._reward_scale = torch.tensor(parts.mean_window_returns, device=device).abs()[:, None]
+        self._returns = VirtualReturns(parts, config.horizon, config.discount)
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
         self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
         self._networks = {"policy": self._network}
         self._optimizers = {"policy": self._optimizer}
         self._steering = LAMBDA_SCALING.to(device)
-        starts = [first_rows(dataset, config.start_window) for dataset in data.datasets]
-        self._streams = LaneStreams(parts.keys, self._draws(starts, data.counts), device)
+        self._streams = LaneStreams(parts.keys, self._draws(), device)
 
-    def _draws(
-        self, starts: Sequence[npt.NDArray[np.int64]], counts: Sequence[int]
-    ) -> dict[str, Draw]:
+    def _draws(self) -> dict[str, Draw]:
         batch, beta = self._config.trajectories, self._config.beta
         return {
-            "start": lambda g, lane, steps: g.choice(starts[lane], size=(steps, batch)),
+            "start": self._returns.start_draw(batch, self._config.start_window),
             "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, batch)).astype("f4"),
-            "clone": lambda g, lane, steps: g.integers(counts[lane], size=(steps, batch)),
+            "clone": self._data.row_draw(batch),
         }
 
     # -- networks ---------------------------------------------------------------------------
@@ -132,11 +121,8 @@ class Learner(StackedLearner):
             penalties.append(difference.square().mean(dim=-1))
             return actions
 
-        history = self._data.denormalise_history(self._data.observations(start))
-        steps = self._machine.unroll(history, act, self._config.horizon)
-        discount = self._config.discount
-        returns = discounted_sum([step.rewards for step in steps], discount) / self._reward_scale
-        penalty = discounted_sum(penalties, discount) / self._config.horizon
+        returns = self._returns.of(start, act)
+        penalty = discounted_sum(penalties, self._config.discount) / self._config.horizon
         return returns, penalty
 
     def _cloning_loss(self, index: Tensor) -> Tensor:
@@ -158,7 +144,7 @@ class Learner(StackedLearner):
         descend(self._optimizer, loss)
         return {
             "policy/loss": loss.detach(),
-            "policy/virtual_return": lanewise_mean((returns * self._reward_scale).detach()),
+            "policy/virtual_return": lanewise_mean((returns * self._returns.scale).detach()),
             "policy/penalty": lanewise_mean(penalty.detach()),
             "policy/cloning_loss": cloning.detach(),
         }

@@ -6,7 +6,18 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from components.models import behaviour_policy, recurrent_fit
+from components.models import action_vae, behaviour_policy, mlp_fit, recurrent_fit
+from components.models.gaussian_behaviour import (
+    GaussianBehaviour,
+    GaussianBehaviourConfig,
+    fit_gaussian_behaviour,
+)
+from components.models.mlp_config import (
+    DeterministicEnsembleConfig,
+    GaussianEnsembleConfig,
+    ResidualEnsembleConfig,
+)
+from components.models.mlp_ensemble import MLPEnsemble
 from components.models.recurrent_ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
 from components.models.supervised import Fit
 from components.networks.policy import Policy
@@ -37,10 +48,25 @@ MODELS: Final[Mapping[str, ModelKind]] = MappingProxyType(
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
         ),
+        "gaussian_behaviour": ModelKind(
+            GaussianBehaviourConfig, fit_gaussian_behaviour, GaussianBehaviour.load
+        ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
             recurrent_fit.fit_recurrent_ensemble,
             RecurrentEnsemble.load,
+        ),
+        "deterministic_ensemble": ModelKind(
+            DeterministicEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
+        ),
+        "gaussian_ensemble": ModelKind(
+            GaussianEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
+        ),
+        "residual_ensemble": ModelKind(
+            ResidualEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
+        ),
+        "action_vae": ModelKind(
+            action_vae.ActionVAEConfig, action_vae.fit_action_vae, action_vae.ActionVAE.load
         ),
     }
 )

@@ -5,7 +5,6 @@ other learners what the operators of the machine would have done, and how far a 
 away. The last trajectories are held out; the state with the lowest held-out loss is kept.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +15,10 @@ from torch import Tensor
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.data.splits import split_episodes
-from components.models.supervised import UNWATCHED, Fit, Monitor
-from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
-from components.networks.checkpoint import (
-    load_optimizer_state,
-    module_state,
-    optimizer_state,
-    prefixed,
-    with_prefix,
-)
+from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
+from components.networks import LaneStreams, StackedMLP, spawn_generators
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Curves, TrainingLoop, adam
+from components.networks.training import Curves
 
 __all__ = ["BehaviourPolicyConfig", "fit_behaviour_policies", "fit_behaviour_policy"]
 
@@ -38,7 +30,9 @@ class BehaviourPolicyConfig:
     hidden: tuple[int, ...] = (20,)  # hidden layer widths
     epochs: int = 50  # passes over the training transitions
     batch: int = 512  # transitions per update
-    learning_rate: float = 3e-4
+    learning_rate: float = 3e-4  # Adam
+    schedule: str = "constant"  # or cosine: falling to zero over the epochs
+    weight_decay: float = 0.0  # L2 term inside Adam
     holdout: float = 0.1  # last fraction of the trajectories, never trained on
 
     def __post_init__(self) -> None:
@@ -51,62 +45,10 @@ class BehaviourPolicyConfig:
             raise ValueError("epochs, batch and every hidden width must be at least 1.")
         if self.learning_rate <= 0 or not 0 < self.holdout < 1:
             raise ValueError("learning_rate must be positive and holdout lie in (0, 1).")
-
-
-class _BehaviourLearner:
-    def __init__(
-        self,
-        data: LaneData,
-        trained_on: Sequence[int],
-        config: BehaviourPolicyConfig,
-        keys: Sequence[int],
-    ) -> None:
-        self._data = data
-        self.lanes = data.lanes
-        sizes = (data.observation_width, *config.hidden, data.action_width)
-        self.network = StackedMLP(spawn_generators(keys, "weights"), sizes).to(data.device)
-        self.best = StackedMLP(spawn_generators(keys, "weights"), sizes).to(data.device)
-        self.best_loss = torch.full((self.lanes,), math.inf, device=data.device)
-        self._optimizer = adam(list(self.network.parameters()), config.learning_rate)
-        self._streams = LaneStreams(
-            keys,
-            {
-                "row": lambda g, lane, steps: g.integers(
-                    trained_on[lane], size=(steps, config.batch)
-                )
-            },
-            data.device,
-        )
-
-    def losses(self, network: StackedMLP, index: Tensor) -> Tensor:
-        """Mean squared action error per lane on transitions ``index [L, B]``: ``[L]``."""
-        actions = torch.tanh(network(self._data.observations(index)))
-        return lanewise_mean((actions - self._data.actions(index)).square())
-
-    def update(self, step: int) -> dict[str, Tensor]:
-        loss = self.losses(self.network, self._streams.at(step)["row"])
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.sum().backward()
-        self._optimizer.step()
-        return {"model/train_mse": loss.detach()}
-
-    @torch.no_grad()
-    def keep_best(self, losses: Tensor) -> None:
-        better = losses < self.best_loss
-        self.best_loss = torch.where(better, losses, self.best_loss)
-        for kept, new in zip(self.best.parameters(), self.network.parameters(), strict=True):
-            kept.copy_(torch.where(better[:, None, None], new, kept))
-
-    def state_dict(self) -> dict[str, Tensor]:
-        state = module_state({"network": self.network, "best": self.best})
-        state["best_loss"] = self.best_loss
-        return state | prefixed("optimizer", optimizer_state(self._optimizer))
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        self.network.load_state_dict(with_prefix("network", state))
-        self.best.load_state_dict(with_prefix("best", state))
-        self.best_loss.copy_(state["best_loss"])
-        load_optimizer_state(self._optimizer, with_prefix("optimizer", state))
+        if self.schedule not in SCHEDULES or self.weight_decay < 0:
+            raise ValueError(
+                f"schedule must be one of {', '.join(SCHEDULES)}; weight_decay is not negative."
+            )
 
 
 def fit_behaviour_policies(
@@ -135,32 +77,43 @@ def fit_behaviour_policies(
     trained_on = [
         int(d.episode_starts[s.train.stop]) for d, s in zip(datasets, splits, strict=True)
     ]
-    held_out = [
-        torch.arange(count, data.counts[lane], device=device)
-        for lane, count in enumerate(trained_on)
-    ]
-    shortest = min(len(rows) for rows in held_out)
-    validation_rows = torch.stack([rows[:shortest] for rows in held_out])
-    learner = _BehaviourLearner(data, trained_on, config, keys)
+    shortest = min(count - trained for count, trained in zip(data.counts, trained_on, strict=True))
+    held_out = torch.tensor(trained_on, device=device)[:, None] + torch.arange(
+        shortest, device=device
+    )
+    sizes = (data.observation_width, *config.hidden, data.action_width)
+    fitting = StackedFit(
+        StackedMLP(spawn_generators(keys, "weights"), sizes).to(device),
+        data.lanes,
+        lambda network, drawn: (_errors(network, data, drawn["row"]).mean(dim=1), {}),
+        LaneStreams(
+            keys,
+            {
+                "row": lambda g, lane, steps: g.integers(
+                    trained_on[lane], size=(steps, config.batch)
+                )
+            },
+            device,
+        ),
+        learning_rate=config.learning_rate,
+        schedule=config.schedule,
+        weight_decay=config.weight_decay,
+    )
+
+    def validate(network: StackedMLP) -> Tensor:
+        parts = [_errors(network, data, rows).sum(dim=1) for rows in held_out.split(4096, dim=1)]
+        return torch.stack(parts).sum(dim=0) / shortest
+
     per_epoch = max(1, min(trained_on) // config.batch)
     updates = config.epochs * per_epoch
-
-    def validate(done: int, curves: Curves) -> bool:
-        if done % per_epoch == 0:
-            with torch.no_grad():
-                parts = [learner.losses(learner.network, r) for r in validation_rows.split(4096, 1)]
-            sizes = torch.tensor([r.shape[1] for r in validation_rows.split(4096, 1)])
-            losses = (torch.stack(parts) * sizes.to(device)[:, None]).sum(dim=0) / shortest
-            curves.add(done, {"model/validation_mse": losses})
-            learner.keep_best(losses)
-            monitor.validated(done / updates, float(losses.mean()))
-        return False
-
-    members = [f"{d.card.name}#{lane}" for lane, d in enumerate(datasets)]
-    loop = TrainingLoop(
-        updates, members, checkpoint, log_every=per_epoch, progress=monitor.progress
+    curves = fitting.run(
+        validate,
+        [f"{d.card.name}#{lane}" for lane, d in enumerate(datasets)],
+        updates=updates,
+        validate_every=per_epoch,
+        checkpoint=checkpoint,
+        monitor=monitor,
     )
-    curves = loop.run(learner, validate)
     policies = []
     for lane, dataset in enumerate(datasets):
         card = PolicyCard(
@@ -172,10 +125,16 @@ def fit_behaviour_policies(
             takes_lambda=False,
             steps=(updates,),
         )
-        whole = Policy.of_networks(card, {"actor": learner.best.affine()}, data.frame_scaling)
+        whole = Policy.of_networks(card, {"actor": fitting.best.affine()}, data.frame_scaling)
         policies.append(whole.lane(lane, card))
-    metrics = [{"validation_mse": float(loss)} for loss in learner.best_loss]
+    metrics = [{"validation_mse": float(loss)} for loss in fitting.best_loss]
     return policies, metrics, curves
+
+
+def _errors(network: StackedMLP, data: LaneData, index: Tensor) -> Tensor:
+    """Squared action errors ``[L, B]``, averaged over the action, of transitions ``[L, B]``."""
+    actions = torch.tanh(network(data.observations(index)))
+    return (actions - data.actions(index)).square().mean(dim=2)
 
 
 def fit_behaviour_policy(

@@ -22,6 +22,7 @@ from torch import Tensor
 from torch.nn.functional import silu, softplus
 
 from components.data.normaliser import Normaliser
+from components.models.rescaling import read_in_scaling
 from components.models.rollout import TARGETS, Prediction
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.stacked import Activation
@@ -31,7 +32,7 @@ __all__ = ["ACTIVATIONS", "MLPEnsemble", "MLPTransition", "bounded_log_variance"
 FORMAT = "mlp-ensemble/1"
 FILE = "ensemble.safetensors"
 
-ACTIVATIONS: Final = MappingProxyType[str, Activation]({"relu": torch.relu, "swish": silu})
+ACTIVATIONS: Final = MappingProxyType[str, Activation]({"relu": torch.relu_, "swish": silu})
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ class MLPEnsemble:
     def members(self) -> int:
         """Number of members K."""
         return int(self.layers[0][0].shape[0])
+
+    @property
+    def shape(self) -> tuple[object, ...]:
+        """What lanes of one stack must share."""
+        widths = tuple(int(weight.shape[2]) for weight, _ in self.layers)
+        kind = "gaussian" if self.log_variance.numel() else "deterministic"
+        return kind, self.members, len(self.elites), self.history, self.activation, *widths
 
     def save(self, folder: Path) -> None:
         """Write one safetensors file into an existing folder."""
@@ -124,16 +132,24 @@ class MLPTransition:
     """Ensembles of L lanes as a transition model, see :mod:`components.models.rollout`.
 
     Args:
-        ensembles: One per lane, of equal shapes and kinds.
+        ensembles: One per lane, of equal shapes.
         scaling: Scaling of the frames that policies see, ``[L, F]``; the change to the models' own
             is folded into the first layer.
         device: Where to compute.
+
+    Raises:
+        ValueError: If the ensembles differ in more than their numbers and target forms.
     """
 
     def __init__(
         self, ensembles: Sequence[MLPEnsemble], scaling: Normaliser, device: torch.device
     ) -> None:
         first = ensembles[0]
+        if len({e.shape for e in ensembles}) != 1:
+            raise ValueError(
+                "Lanes of one stack need ensembles of equal members, layers, history and kind, got "
+                f"{' and '.join(sorted({str(e.shape) for e in ensembles}))}."
+            )
         self.members = first.members
         self.frames = Normaliser.stack([e.frames for e in ensembles]).to(device)
         self.low = torch.stack([e.low for e in ensembles]).to(device)
@@ -144,24 +160,24 @@ class MLPTransition:
         bounds = [e.log_variance for e in ensembles]
         self._bounds = torch.cat(bounds).to(device) if bounds[0].numel() else None
         self._layers = [
-            tuple(torch.cat([e.layers[n][part] for e in ensembles]).to(device) for part in (0, 1))
+            (
+                torch.cat([e.layers[n][0] for e in ensembles]).to(device),
+                torch.cat([e.layers[n][1] for e in ensembles]).to(device),
+            )
             for n in range(len(first.layers))
         ]
         self._activation = ACTIVATIONS[first.activation]
-        self._changes = first.target == "change"
+        # Which form predicts better is chosen dataset by dataset, so it may differ among lanes.
+        changes = [float(e.target == "change") for e in ensembles]
+        self._changes = torch.tensor(changes, device=device)[:, None, None, None]
         self._seen = first.history * len(first.frames.mean)  # width of the frames that are read
-        self._fold(scaling.to(device), first.history)
-
-    def _fold(self, scaling: Normaliser, history: int) -> None:
-        """Let the first layer read frames in the policies' scaling instead of the models'."""
-        own = self.frames
-        factor = (scaling.scale / own.scale).repeat(1, history)  # [L, H * F]
-        offset = ((scaling.mean - own.mean) / own.scale).repeat(1, history)
         weight, bias = self._layers[0]
-        seen = weight[:, : self._seen].view(len(factor), self.members, self._seen, -1)
-        moved = torch.einsum("li,lkio->lko", offset, seen).flatten(0, 1)[:, None]
-        scaled = (factor[:, None, :, None] * seen).flatten(0, 1)
-        self._layers[0] = (torch.cat([scaled, weight[:, self._seen :]], dim=1), bias + moved)
+        own, given = self.frames, scaling.to(device)
+        weight, bias = read_in_scaling(weight, bias, own, given, first.history)
+        self._layers[0] = weight, bias
+        # [L, in, K * out]: the members' weights side by side, where all read the same rows.
+        by_member = weight.view(len(ensembles), self.members, *weight.shape[1:])
+        self._side_by_side = by_member.transpose(1, 2).flatten(2)
 
     def begin(self, history: Tensor) -> None:
         """Nothing is remembered between steps but the frames."""
@@ -174,9 +190,7 @@ class MLPTransition:
         seen = torch.cat([observation[..., : self._seen], inputs], dim=-1)
         weight, bias = self._layers[0]
         if copies == 1:
-            # All members of a lane read the same rows: one product with their weights side by side.
-            side_by_side = weight.view(lanes, self.members, *weight.shape[1:]).transpose(1, 2)
-            x = torch.bmm(seen[:, 0], side_by_side.flatten(2))
+            x = torch.bmm(seen[:, 0], self._side_by_side)  # one product for all members of a lane
             x = x.view(lanes, batch, self.members, -1).transpose(1, 2).flatten(0, 1) + bias
         else:
             x = torch.baddbmm(bias, seen.flatten(0, 1), weight)
@@ -185,9 +199,7 @@ class MLPTransition:
         out = x.view(lanes, self.members, batch, -1).permute(0, 3, 1, 2)  # [L, D or 2D, K, B]
         count = len(TARGETS)
         scale, mean = (t[:, :, None, None] for t in (self.target_scale, self._target_mean))
-        values = out[:, :count] * scale + mean
-        if self._changes:
-            values = values + own
+        values = out[:, :count] * scale + mean + self._changes * own
         if self._bounds is None:
             return Prediction(values), None
         low, high = self._bounds.view(lanes, self.members, 2, count, 1).permute(2, 0, 3, 1, 4)

@@ -55,7 +55,9 @@ class RecurrentTransition:
     def predict(
         self, state: Tensor, observation: Tensor, inputs: Tensor, own: Tensor
     ) -> tuple[Prediction, Tensor]:
-        """One step of all members; ``state`` is the hidden state."""
+        """One step of all members; ``state`` is the hidden state, or see :meth:`_in_place`."""
+        if not torch.is_grad_enabled():
+            return self._in_place(state, inputs, own)
         lanes, _, batch, _ = inputs.shape
         shape = (lanes, len(TARGETS), self.members)
         fed = (own[:, :, :, None] * self._feeds_back).expand(*shape, 1, batch)
@@ -71,3 +73,25 @@ class RecurrentTransition:
         hidden = fast_tanh(torch.bmm(self._weight, seen))
         read = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
         return Prediction(read.view(*shape, batch)), hidden
+
+    def _in_place(self, state: Tensor, inputs: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
+        """The same without gradients; from the first step on, all that is read has one buffer.
+
+        The state is that buffer ``[L * 2K, H + 6, B]``: hidden state, inputs, own value and the
+        constant one, each step's over those of the step before.
+        """
+        lanes, _, batch, _ = inputs.shape
+        cells, width, features = self._weight.shape
+        if state.shape[1] == width:
+            buffer = state.new_ones(cells, features, batch)
+            buffer[:, :width] = state
+        else:
+            buffer = state
+        shape = (lanes, len(TARGETS), self.members)
+        given = buffer[:, width:-1].view(*shape, -1, batch)
+        given[..., :-1, :] = inputs.transpose(2, 3)[:, None]
+        given[..., -1:, :] = own[:, :, :, None] * self._feeds_back
+        hidden = buffer[:, :width]
+        torch.tanh(torch.bmm(self._weight, buffer), out=hidden)
+        read = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
+        return Prediction(read.view(*shape, batch)), buffer

@@ -124,6 +124,7 @@ class StackedFit(Generic[N]):
         validate_every: int,
         patience: int | None = None,
         improvement: float = 0.0,
+        overall: Callable[[Tensor], Tensor] = torch.mean,
         checkpoint: Path | None = None,
         monitor: Monitor = UNWATCHED,
     ) -> Curves:
@@ -136,8 +137,9 @@ class StackedFit(Generic[N]):
             validate_every: Updates between validations; the last update is validated too.
             patience: Stop after so many validations in a row that improved no lane.
             improvement: Smallest relative improvement that counts.
+            overall: One loss for the monitor from those of the lanes' best states ``[L]``.
             checkpoint: File to resume from and save to.
-            monitor: Told the progress and the mean held-out loss of the lanes' best states.
+            monitor: Told the progress and the overall held-out loss.
 
         Returns:
             The learning curves.
@@ -151,7 +153,7 @@ class StackedFit(Generic[N]):
                 losses = validate(self.network)
             curves.add(done, {"model/validation_loss": losses})
             self._keep_best(losses, improvement)
-            monitor.validated(done / updates, float(self.best_loss.mean()))
+            monitor.validated(done / updates, float(overall(self.best_loss)))
             return patience is not None and bool((self.stale >= patience).all())
 
         loop = TrainingLoop(

@@ -12,21 +12,22 @@ import torch
 from torch import Tensor
 
 from components.networks.gaussian import LOG_STD_RANGE
-from components.networks.stacked import first_layer_over_actions
+from components.networks.stacked import Activation, first_layer_over_actions
 from components.networks.variational import LATENT_CLIP
 
 __all__ = ["KINDS", "Layers"]
 
 Layers = tuple[tuple[Tensor, Tensor], ...]
-"""Weights ``[P, in, out]`` and biases ``[P, 1, out]`` from input to output; ReLU in between."""
+"""Weights ``[P, in, out]`` and biases ``[P, 1, out]`` from input to output; the activation between
+them is ReLU where the kind does not say otherwise."""
 
 Networks = Mapping[str, Layers]
 Act = Callable[[Networks, Tensor, Tensor | None, float], Tensor]
 
 
-def _apply(layers: Layers, x: Tensor) -> Tensor:
+def _apply(layers: Layers, x: Tensor, activation: Activation = torch.relu_) -> Tensor:
     for weight, bias in layers[:-1]:
-        x = torch.baddbmm(bias, x, weight).relu_()
+        x = activation(torch.baddbmm(bias, x, weight))
     weight, bias = layers[-1]
     return torch.baddbmm(bias, x, weight)
 
@@ -52,6 +53,12 @@ def _tanh(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: flo
 
 def _clipped(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:
     return _apply(networks["actor"], x).clamp_(-1.0, 1.0)
+
+
+def _clipped_tanh_layers(
+    networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float
+) -> Tensor:
+    return _apply(networks["actor"], x, torch.tanh_).clamp_(-1.0, 1.0)
 
 
 def _gaussian(networks: Networks, x: Tensor, noise: Tensor, perturbation: float) -> Tensor:
@@ -91,6 +98,7 @@ KINDS: Final[Mapping[str, Act]] = MappingProxyType(
     {
         "tanh": _tanh,
         "clipped": _clipped,
+        "clipped_tanh_layers": _clipped_tanh_layers,
         "gaussian_candidates": _one_by_one(_gaussian),
         "perturbed_candidates": _one_by_one(_perturbed),
     }
@@ -99,6 +107,7 @@ KINDS: Final[Mapping[str, Act]] = MappingProxyType(
 
 - ``tanh``: the tanh of the actor's output.
 - ``clipped``: the actor's output clipped to [-1, 1].
+- ``clipped_tanh_layers``: the same with tanh between the actor's layers (MOReL).
 - ``gaussian_candidates``: the critic's favourite of N actions of a squashed Gaussian actor (BEAR).
 - ``perturbed_candidates``: its favourite of N decoded actions, each shifted by the actor (BCQ).
 """

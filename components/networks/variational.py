@@ -59,6 +59,21 @@ class ConditionalVAE(nn.Module):
         """Actions before the tanh ``[L, B, N, A]`` from normal ``noise [L, B, N, Z]``."""
         return self.decoder.over_actions(observations, noise.clamp(-LATENT_CLIP, LATENT_CLIP))
 
+    def reconstruct(
+        self, observations: Tensor, actions: Tensor, noise: Tensor
+    ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        """Actions ``[L, B, A]`` decoded from one sample of their latents, and its distribution.
+
+        Args:
+            observations: ``[L, B, O]``.
+            actions: ``[L, B, A]``.
+            noise: Standard normal ``[L, B, Z]``; 0 decodes the mean.
+        """
+        mean, log_std = self.encode(observations, actions)
+        latent = mean + log_std.exp() * noise
+        rebuilt = torch.tanh(self.decoder(torch.cat([observations, latent], dim=-1)))
+        return rebuilt, (mean, log_std)
+
     def losses(
         self, observations: Tensor, actions: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
@@ -69,9 +84,7 @@ class ConditionalVAE(nn.Module):
             actions: ``[L, B, A]``.
             noise: Standard normal ``[L, B, Z]``.
         """
-        mean, log_std = self.encode(observations, actions)
-        latent = mean + log_std.exp() * noise
-        rebuilt = torch.tanh(self.decoder(torch.cat([observations, latent], dim=-1)))
+        rebuilt, latents = self.reconstruct(observations, actions, noise)
         error = lanewise_mean((rebuilt - actions).square())
-        divergence = lanewise_mean(divergence_from_prior(mean, log_std))
+        divergence = lanewise_mean(divergence_from_prior(*latents))
         return error + _DIVERGENCE_WEIGHT * divergence, error, divergence

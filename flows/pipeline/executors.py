@@ -39,8 +39,14 @@ class Executor(Protocol):
     device: str
     threads: int
 
-    def start(self, notify: Callable[[str], None]) -> None:
-        """Gets ready; `notify` takes one-line messages for people."""
+    def start(self, notify: Callable[[str], None], watch: Callable[[], None] = ...) -> None:
+        """Gets ready.
+
+        Args:
+            notify: Takes one-line messages for people.
+            watch: Called at every validation by executors whose `wait` works itself, so that
+                whoever waits can look at what happens meanwhile.
+        """
 
     def submit(self, call: GroupCall) -> None:
         """Takes a group."""
@@ -61,9 +67,13 @@ class SerialExecutor:
         self.threads = threads
         self.device = device
         self._calls: list[GroupCall] = []
+        self._watch: Callable[[], None] = lambda: None
 
-    def start(self, notify: Callable[[str], None]) -> None:
-        """Nothing to do."""
+    def start(
+        self, notify: Callable[[str], None], watch: Callable[[], None] = lambda: None
+    ) -> None:
+        """Keeps `watch`, which the work in `wait` calls."""
+        self._watch = watch
 
     def submit(self, call: GroupCall) -> None:
         """Puts the group in line."""
@@ -71,7 +81,7 @@ class SerialExecutor:
 
     def wait(self, timeout: float) -> list[GroupResult]:
         """Runs the first group in line."""
-        return [run_group(self._calls.pop(0))] if self._calls else []
+        return [run_group(self._calls.pop(0), self._watch)] if self._calls else []
 
     def stop(self) -> None:
         """Forgets what is in line."""
@@ -108,8 +118,12 @@ class RayExecutor:
         self._running: dict[Any, tuple[GroupCall, int]] = {}
         self._notify: Callable[[str], None] = lambda text: None
 
-    def start(self, notify: Callable[[str], None]) -> None:
+    def start(
+        self, notify: Callable[[str], None], watch: Callable[[], None] = lambda: None
+    ) -> None:
         """Starts Ray on this machine or connects to the cluster.
+
+        Nothing calls `watch`: the work goes on in other processes while `wait` returns.
 
         Raises:
             PipelineError: Ray cannot be started or reached, or has too few processors.

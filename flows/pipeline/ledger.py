@@ -187,19 +187,23 @@ class MlflowLedger:
                 if mark not in known:
                     self.client.set_tag(run_id, mark, "reused")
                 return
-            content = read_content(folder)
-            started, ended = (int(1000 * content.record[name]) for name in ("started", "finished"))
-            tags = flat(content.tags) | self._tags(node) | {mark: "computed"}
-            run = self.client.create_run(
-                self.experiment, start_time=started, run_name=node.name, tags=tags
-            )
-            run_id = run.info.run_id
-            log_batches(self.client, run_id, params=flat(dict(node.config)) | content.params)
-            log_batches(self.client, run_id, metrics=content.metrics)
-            log_datasets(self.client, run_id, content.datasets)
-            self._log_artifacts(run_id, run.info.artifact_uri, folder)
-            self.client.set_terminated(run_id, "FINISHED", end_time=ended)
-            self._finished[node.key] = (run_id, tags)
+            self._record(node, folder, {mark: "computed"})
+
+    def _record(self, node: Node, folder: Path, further: Mapping[str, str]) -> None:
+        """Writes the run of a node that has none."""
+        content = read_content(folder)
+        started, ended = (int(1000 * content.record[name]) for name in ("started", "finished"))
+        tags = flat(content.tags) | self._tags(node) | further
+        run = self.client.create_run(
+            self.experiment, start_time=started, run_name=node.name, tags=tags
+        )
+        run_id = run.info.run_id
+        log_batches(self.client, run_id, params=flat(dict(node.config)) | content.params)
+        log_batches(self.client, run_id, metrics=content.metrics)
+        log_datasets(self.client, run_id, content.datasets)
+        self._log_artifacts(run_id, run.info.artifact_uri, folder)
+        self.client.set_terminated(run_id, "FINISHED", end_time=ended)
+        self._finished[node.key] = (run_id, tags)
 
     def log_failure(self, node: Node, reason: str) -> None:
         """Records a failed node with its traceback.

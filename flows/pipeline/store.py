@@ -2,7 +2,7 @@
 
     ROOT/nodes/KEY/     a finished artifact: complete if and only if the folder is there
     ROOT/work/GROUP/    checkpoints and half-made outputs of nodes that are computed together
-    ROOT/progress/      how far running calls are
+    ROOT/progress/      how far running calls are, and which of them shall stop
     ROOT/locks/         one lock per node that is being computed
 
 An artifact is made in its work folder and renamed into place, so nobody ever sees half of one. When
@@ -282,6 +282,23 @@ class ArtifactStore:
     def progress_file(self, group: str) -> Path:
         """Where a running call says how far it is."""
         return self._progress / f"{group}.json"
+
+    def stop_file(self, group: str) -> Path:
+        """What tells a running call, once it is there, that nobody wants its result any more."""
+        return self._progress / f"{group}.stop"
+
+    def forget_progress(self, group: str) -> None:
+        """Removes what a call has said and was told, also what it was killed while saying."""
+        for half in self._progress.glob(f".{group}.json-*"):
+            half.unlink(missing_ok=True)
+        self.progress_file(group).unlink(missing_ok=True)
+        self.stop_file(group).unlink(missing_ok=True)
+
+    def losses(self, group: str) -> list[tuple[float, float]]:
+        """Fractions of the budget and held-out losses there, as far as a call has told them."""
+        value = read_json(self.progress_file(group))
+        said = value.get("losses", ()) if isinstance(value, dict) else ()
+        return [(float(fraction), float(loss)) for fraction, loss in said]
 
     def fraction(self, group: str) -> float | None:
         """How far a call is, between 0 and 1; None if it has not begun."""

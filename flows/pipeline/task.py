@@ -23,9 +23,13 @@ from typing import Any, cast
 
 from flows.pipeline.files import write_json
 
-__all__ = ["FAILURE_FILE", "Job", "TaskContext", "TaskFunction", "load_task"]
+__all__ = ["FAILURE_FILE", "GivenUp", "Job", "TaskContext", "TaskFunction", "load_task"]
 
 FAILURE_FILE = "failure.txt"
+
+
+class GivenUp(Exception):  # noqa: N818 - no error: whoever asked for the work wants it no more
+    """Ends a task call whose result nobody wants any more; its nodes are not made, nor failed."""
 
 
 @dataclass
@@ -64,7 +68,9 @@ class TaskContext:
         members: Keys the work folder was made for, in the order of their first call.
         device: "cpu" or "cuda".
         threads: Threads this call may use.
-        progress_file: Where the fraction done is written; None for nowhere.
+        progress_file: Where the fraction done and held-out losses are written; None for nowhere.
+        stop_file: Once it is there, the next validation ends the call; None for never.
+        watch: Called at every validation, by executors that work in the process of whoever waits.
         interval: Seconds between two writes of the fraction.
     """
 
@@ -73,8 +79,12 @@ class TaskContext:
     device: str = "cpu"
     threads: int = 1
     progress_file: Path | None = None
+    stop_file: Path | None = None
+    watch: Callable[[], None] = lambda: None
     interval: float = 0.5
     _written: float = field(default=float("-inf"), repr=False)
+    _fraction: float = field(default=0.0, repr=False)
+    _losses: list[tuple[float, float]] = field(default_factory=list, repr=False)
 
     def progress(self, fraction: float) -> None:
         """Tells the display how far this call is. Cheap enough for every training step.
@@ -82,16 +92,32 @@ class TaskContext:
         Args:
             fraction: Between 0 and 1, over all jobs of the call.
         """
-        if self.progress_file is None:
-            return
-        now = time.monotonic()
-        if now - self._written < self.interval:
-            return
-        self._written = now
-        write_json(self.progress_file, {"fraction": min(1.0, max(0.0, float(fraction)))})
+        self._fraction = min(1.0, max(0.0, float(fraction)))
+        if time.monotonic() - self._written >= self.interval:
+            self._write()
 
     def validated(self, fraction: float, loss: float) -> None:
-        """Takes a held-out loss on the way; what a search makes of it is its own business."""
+        """Passes on a held-out loss on the way, and ends the call if nobody wants its result.
+
+        Args:
+            fraction: Part of the budget that is spent, between 0 and 1.
+            loss: Held-out loss.
+
+        Raises:
+            GivenUp: The stop file is there.
+        """
+        self._fraction = min(1.0, max(0.0, float(fraction)))
+        self._losses.append((self._fraction, float(loss)))
+        self._write()
+        self.watch()
+        if self.stop_file is not None and self.stop_file.exists():
+            raise GivenUp(f"given up at {self._fraction:.0%} of the budget")
+
+    def _write(self) -> None:
+        if self.progress_file is not None:
+            self._written = time.monotonic()
+            said = {"fraction": self._fraction, "losses": self._losses}
+            write_json(self.progress_file, said)
 
 
 TaskFunction = Callable[[Sequence[Job], TaskContext], None]

@@ -7,7 +7,7 @@ import resource
 import sys
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_sentence
-from flows.pipeline.task import FAILURE_FILE, Job, TaskContext, load_task
+from flows.pipeline.task import FAILURE_FILE, GivenUp, Job, TaskContext, load_task
 
 __all__ = ["GroupCall", "GroupResult", "run_group"]
 
@@ -76,17 +76,23 @@ class GroupResult:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
+        given_up: Keys whose computation was stopped because nobody wants them any more.
     """
 
     group: str
     finished: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
+    given_up: list[str] = field(default_factory=list)
 
 
-def run_group(call: GroupCall) -> GroupResult:
+def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> GroupResult:
     """Computes the nodes of a group that are not finished yet and publishes their artifacts.
 
     Exceptions of the task become failures in the result; only interrupts pass through.
+
+    Args:
+        call: The group.
+        watch: Called at every validation, see :class:`flows.pipeline.task.TaskContext`.
     """
     os.environ["OMP_NUM_THREADS"] = str(call.threads)
     store = ArtifactStore(call.root, create=False)
@@ -100,8 +106,9 @@ def run_group(call: GroupCall) -> GroupResult:
                     store.publish_ready(work)
             pending = [node for node in call.nodes if not store.complete(node["key"])]
             if pending:
-                _compute(store, call, pending, result)
-        result.finished = [key for key in keys if key not in result.failed]
+                _compute(store, call, pending, result, watch)
+        unmade = {*result.failed, *result.given_up}
+        result.finished = [key for key in keys if key not in unmade]
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -112,7 +119,11 @@ def run_group(call: GroupCall) -> GroupResult:
 
 
 def _compute(
-    store: ArtifactStore, call: GroupCall, nodes: list[Mapping[str, Any]], result: GroupResult
+    store: ArtifactStore,
+    call: GroupCall,
+    nodes: list[Mapping[str, Any]],
+    result: GroupResult,
+    watch: Callable[[], None],
 ) -> None:
     keys = [node["key"] for node in nodes]
     work = store.open_work(keys)
@@ -124,6 +135,8 @@ def _compute(
         device=call.device,
         threads=call.threads,
         progress_file=store.progress_file(call.group),
+        stop_file=store.stop_file(call.group),
+        watch=watch,
     )
     task = load_task(call.task)
     if "torch" in sys.modules:
@@ -131,7 +144,12 @@ def _compute(
         sys.modules["torch"].set_num_threads(call.threads)
     context.progress(0.0)
     started, used = time.time(), _cpu_seconds()
-    task(jobs, context)
+    try:
+        task(jobs, context)
+    except GivenUp:
+        result.given_up = keys
+        store.discard(work)
+        return
     usage = {
         "started": started,
         "finished": time.time(),

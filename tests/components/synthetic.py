@@ -10,10 +10,12 @@ import torch
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.normaliser import Normaliser
+from components.models.action_vae import ActionVAE
 from components.models.mlp_ensemble import MLPEnsemble
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.networks import StackedMLP, lane_generator, lane_key
 from components.networks.policy import Policy, PolicyCard
+from components.networks.variational import ConditionalVAE
 
 CPU = torch.device("cpu")
 FEATURES = ("setpoint", "velocity", "gain", "shift", "fatigue", "consumption")
@@ -196,6 +198,14 @@ def random_mlp_ensemble(
     )
 
 
+def random_action_vae(dataset: OfflineDataset, name: object) -> ActionVAE:
+    """An untrained autoencoder that reads two frames, in a scaling of its own."""
+    fitted = Normaliser.fit(dataset.frames)
+    own = Normaliser(fitted.mean + 3.0, 1.5 * fitted.scale)
+    network = ConditionalVAE([lane_key("vae", name)], 2 * len(FEATURES), 3, (7, 6))
+    return ActionVAE(network.requires_grad_(False), own, 2, (7, 6))
+
+
 def random_model(model: str, dataset: OfflineDataset) -> Any:
     """An untrained model of a name in the registry, always the same for a dataset."""
     name = dataset.card.name
@@ -205,4 +215,6 @@ def random_model(model: str, dataset: OfflineDataset) -> Any:
         return random_ensemble(dataset, name)
     if model in ("deterministic_ensemble", "gaussian_ensemble", "residual_ensemble"):
         return random_mlp_ensemble(dataset, (model, name), gaussian=model == "gaussian_ensemble")
+    if model == "action_vae":
+        return random_action_vae(dataset, name)
     raise KeyError(model)

@@ -1,8 +1,10 @@
 """The plan: keys follow what decides a result, and nothing else."""
 
+from dataclasses import replace
+
 import pytest
 
-from flows.benchmark import benchmark_plan, data_plan, sweep_name
+from flows.benchmark import benchmark_plan, data_plan, model_choice, sweep_name
 from flows.pipeline.plan import Node, Plan
 from flows.settings import load_settings
 
@@ -138,6 +140,77 @@ def test_algorithms_and_seeds_share_the_models() -> None:
         assert lion["dataset"].key == td3_bc["dataset"].key
         judged = node(made, f"evaluate/td3_bc/bad-0.4/seed{seed}").inputs
         assert judged["behaviour_policy"].key == lion["behaviour_policy"].key
+
+
+def fits(made: Plan) -> dict[tuple[str, str], list[str]]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for n in made:
+        if n.component == "model_fitting":
+            found.setdefault((n.tags["model"], n.tags["dataset"]), []).append(n.key)
+    return found
+
+
+def test_policies_of_a_seed_can_have_models_of_their_own() -> None:
+    shared, own = plan(), plan("models.per_seed=true")
+    # seed 1 gets a second fit of both models of both datasets
+    assert [own.counts()[name] for name in COMPONENTS] == [2, 8, 8, 8, 4]
+    assert all(len(keys) == 2 for keys in fits(own).values())
+    for pair, [key] in fits(shared).items():
+        assert fits(own)[pair].count(key) == 1, "seed 0 of a policy uses seed 0 of its models"
+    for seed in (0, 1):
+        policy = node(own, f"lion/bad-0.4/seed{seed}")
+        for role in ("behaviour_policy", "recurrent_ensemble"):
+            config = policy.inputs[role].config
+            assert config["seed"] == seed
+            assert config | {"seed": 0} == node(shared, f"{role}/bad-0.4").config
+        # distances are measured to one behaviour policy, whatever the policy was trained with
+        judge = node(own, f"evaluate/lion/bad-0.4/seed{seed}").inputs["behaviour_policy"]
+        assert judge.key == node(shared, "behaviour_policy/bad-0.4").key
+    before, after = keys(shared), keys(own)
+    assert before["lion/bad-0.4/seed0"] == after["lion/bad-0.4/seed0"]
+    assert before["lion/bad-0.4/seed1"] != after["lion/bad-0.4/seed1"]
+    assert before["td3_bc/bad-0.4/seed1"] == after["td3_bc/bad-0.4/seed1"]
+    # still lanes of one program
+    lanes = {n.lanes for n in own if n.name.startswith("lion/bad-0.4/")}
+    assert len(lanes) == 1
+
+
+def test_models_of_other_shapes_are_no_lanes_of_one_stack() -> None:
+    settings = load_settings([*BASE, "runner.stack=algorithm"])
+    choice = model_choice(settings)
+    pair = ("bad-0.4", "recurrent_ensemble")
+    wider = replace(choice.configs[pair], hidden=9)
+    made = benchmark_plan(settings, replace(choice, configs={**choice.configs, pair: wider}))
+    lanes = {n.name: n.lanes for n in made if n.component == "policy_training"}
+    assert lanes["lion/bad-0.4/seed0"] != lanes["lion/mediocre-0.2/seed0"]
+    assert lanes["td3_bc/bad-0.4/seed0"] == lanes["td3_bc/mediocre-0.2/seed0"]
+
+
+def test_one_policy_per_penalty() -> None:
+    base = ("algorithms=[mopo]", "seeds=[0,1]", "datasets=[bad-0.4]")
+    one, swept = plan(*base), plan(*base, "mopo_penalties=[0,1,2.5]")
+    assert [one.counts()[name] for name in COMPONENTS] == [1, 2, 2, 2, 1]
+    assert [swept.counts()[name] for name in COMPONENTS] == [1, 2, 6, 6, 3]
+    policy = node(swept, "mopo-penalty-2.5/bad-0.4/seed1")
+    assert policy.config["settings"]["penalty"] == 2.5
+    assert policy.tags == {
+        "dataset": "bad-0.4", "algorithm": "mopo", "seed": "1", "penalty": "2.5",
+    }  # fmt: skip
+    # the default among them is the very policy that an ordinary sweep trains
+    default = one.by_component()["policy_training"][0]
+    assert default.config["settings"]["penalty"] == 1.0
+    assert keys(swept)["mopo-penalty-1/bad-0.4/seed0"] == keys(one)["mopo/bad-0.4/seed0"]
+    judged = "evaluate/mopo-penalty-1/bad-0.4/seed0"
+    assert keys(swept)[judged] == keys(one)["evaluate/mopo/bad-0.4/seed0"]
+    summary = node(swept, "aggregate/mopo-penalty-0/bad-0.4")
+    assert summary.config["algorithm"] == "mopo-penalty-0"
+    assert summary.tags == {"dataset": "bad-0.4", "algorithm": "mopo", "penalty": "0"}
+    for component in ("policy_training", "evaluation"):
+        assert len({n.lanes for n in swept if n.component == component}) == 3
+    whole = plan(*base, "mopo_penalties=sweep")
+    trained = whole.by_component()["policy_training"]
+    chosen = sorted({n.config["settings"]["penalty"] for n in trained})
+    assert chosen == [k / 10 for k in range(26)]
 
 
 def test_models_that_nothing_needs_are_not_fitted() -> None:

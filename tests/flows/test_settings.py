@@ -58,16 +58,16 @@ def test_documented_datasets_are_the_catalogue_s(name: str, paper: Settings) -> 
 def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Settings) -> None:
     assert paper.profile_name == "paper"
     assert paper.datasets == tuple(sorted(DATASETS))
-    # The comparisons of chapter 6 are there to be chosen.
-    default = {"bc", "ddpg", "bcq", "bear", "brac", "cql", "td3_bc", "lion"}
-    assert set(paper.algorithms) == default
-    assert set(ALGORITHMS) - default == {"lambda_td3_bc", "rvs"}
-    assert {name: paper.algorithm[name].updates for name in default - {"lion"}} == {
-        **dict.fromkeys(default - {"lion"}, 10_000),
-        "cql": 300_000,
+    updates = {
+        **dict.fromkeys(("bc", "ddpg", "bcq", "bear", "brac", "td3_bc"), 10_000),
+        **{"cql": 300_000, "mopo": 100_000, "morel": 500},
+        **{"moose": 1000, "wsbc": 100, "lion": 1000},
     }
+    assert set(paper.algorithms) == set(updates)
+    # Comparisons and the control without regularisation are there to be chosen.
+    assert set(ALGORITHMS) - set(updates) == {"lambda_td3_bc", "model_based", "rvs"}
+    assert {name: paper.algorithm[name].updates for name in updates} == updates
     assert paper.seeds == (0, 1, 2, 3, 4)
-    assert (paper.algorithm["lion"].updates, paper.algorithm["td3_bc"].updates) == (1000, 10_000)
     assert paper.training.snapshots == 20
     assert (paper.evaluation.trajectories, paper.evaluation.horizon) == (10, 100)
     assert paper.evaluation.lambda_step == 0.05
@@ -113,7 +113,10 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("data.foo=1", "Unknown key 'data.foo'; valid keys in data: seed, steps, trajectories"),
         ("algorithm.lion.bta=1", "valid keys in algorithm.lion: beta, .*Did you mean 'beta'"),
         ("algorithm.foo.updates=3", "valid keys in algorithm: bc, bcq, bear, brac"),
-        ("model.foo.hidden=3", "valid keys in model: behaviour_policy, recurrent_ensemble"),
+        (
+            "model.foo.hidden=3",
+            "valid keys in model: action_vae, behaviour_policy, .*recurrent_ensemble",
+        ),
         ("evaluation.discount=0.5", "valid keys in evaluation: horizon, lambda_step"),
         ("dataset.bad-0.2.epsilon=2", "edit conf/dataset, or select with datasets="),
         # unknown names
@@ -126,7 +129,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("datasets=[]", f"selects nothing; valid ones are {ALL_DATASETS}"),
         ("datasets=null", f"valid ones are {ALL_DATASETS}"),
         ("datasets=[bad-0.0,bad-0.0]", "names one twice"),
-        ("algorithms=[lyon]", "valid ones are bc, .*td3_bc, or all. Did you mean 'lion'"),
+        ("algorithms=[lyon]", "valid ones are bc, .*td3_bc, .*or all. Did you mean 'lion'"),
         ("algorithms=[]", "valid ones are bc, bcq, bear"),
         # values
         ("seeds=[]", "must be a list of different whole numbers"),
@@ -152,6 +155,17 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("algorithm.lion.learning_rate=nan", "algorithm.lion.learning_rate=nan: .* finite"),
         ("algorithm.td3_bc.alpha=inf", "algorithm.td3_bc.alpha=inf: .* finite"),
         ("model.recurrent_ensemble.updates=0", "updates must be at least 1"),
+        ("models=best", "models.source='best': Input should be 'default' or 'tuned'"),
+        ("models=[lion]", "models.source=.*: Input should be 'default' or 'tuned'"),
+        ("models.per_seed=3", "models.per_seed=3: Input should be a valid boolean"),
+        ("models.per_sed=true", "Did you mean 'per_seed'"),
+        ("runner.cpus=true", "runner.cpus=true: .* no boolean"),
+        ("tuning.trials=0", "tuning.trials=0: .* greater than or equal to 1"),
+        ("tuning.models=[lion]", "Unknown model 'lion'; valid ones are action_vae"),
+        ("mopo_penalties=all", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[]", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[1,1.0]", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[true]", "must be null, sweep or a list of different numbers"),
         ("sweep=../up", "sweep='../up': .* match pattern"),
         ("store=", "store= is empty; name a folder"),
         ("store=${nope}", "nope"),
@@ -174,6 +188,25 @@ def test_what_is_wrong_ends_in_one_sentence(word: str, valid: str) -> None:
     message = str(caught.value)
     assert "\n" not in message
     assert message[-1] in ".?"
+
+
+def test_short_keys_stand_for_long_ones(paper: Settings) -> None:
+    assert (paper.models.source, paper.models.per_seed) == ("default", False)
+    for word in ("models=tuned", "models.source=tuned"):
+        assert load_settings([word]).models.source == "tuned"
+    assert load_settings(["models.per_seed=true"]).models.per_seed is True
+    aliases = {"models": "tuning.models", "trials": "tuning.trials"}
+    found = load_settings(["models=[action_vae]", "trials=3"], aliases).tuning
+    assert (found.models, found.trials) == (("action_vae",), 3)
+    assert (paper.tuning.models, paper.tuning.trials) == (("recurrent_ensemble",), 30)
+    assert set(load_settings(["models=all"], aliases).tuning.models) == set(MODELS)
+
+
+def test_penalties_are_checked_and_become_variants() -> None:
+    words = ["algorithms=[mopo]", "mopo_penalties=[0,0.5]"]
+    assert load_settings(words).variants == {"mopo": ("penalty", (0.0, 0.5))}
+    with pytest.raises(SettingsError, match="penalty must not be negative"):
+        load_settings(["algorithms=[mopo]", "mopo_penalties=[-1]"])
 
 
 @pytest.mark.parametrize(
@@ -210,3 +243,8 @@ def test_bad_input_and_dry_runs_leave_nothing_behind(
     assert list(tmp_path.iterdir()) == []
     if code:
         assert len(shown.splitlines()) == 1
+
+
+def test_penalties_without_their_algorithm_are_refused() -> None:
+    with pytest.raises(SettingsError, match="mopo is not among the algorithms; add it"):
+        load_settings(["mopo_penalties=[0,1]", "algorithms=[lion]"])

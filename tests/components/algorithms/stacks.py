@@ -52,7 +52,31 @@ SMALL: dict[str, dict[str, Any]] = {
     "lambda_td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
     "rvs": {"hidden": (8,), "batch": 16, "window": 10},
     "lion": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
+    "moose": {"hidden": (8,), "trajectories": 4, "horizon": 5, "learning_rate": 1e-2},
+    "model_based": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
+    "wsbc": {"box": 0.3, "particles": 9, "neighbourhood": 3, "starts": 6, "horizon": 5},
     "td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+    "morel": {
+        "hidden": (8,),
+        "value_hidden": (8,),
+        "batch": 16,
+        "cloning": 10,
+        "trajectories": 2,
+        "horizon": 5,
+        "beta": 1.0,
+        "iterations": 5,
+        "fisher_samples": 20,
+    },
+    "mopo": {
+        "hidden": (8,),
+        "batch": 16,
+        "learning_rate": 1e-3,
+        "rollout_every": 6,
+        "rollouts": 20,
+        "rollout_length": 4,
+        "retained_rollouts": 3,
+        "real_ratio": 0.25,
+    },
 }
 
 

@@ -1,13 +1,15 @@
 """Cloning the operator of the small machine."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from components.models import behaviour_policy
+from components.models import supervised
 from components.models.behaviour_policy import BehaviourPolicyConfig, fit_behaviour_policies
+from components.models.supervised import StackedFit
 from tests.components.interruption import killed_at, lanes, save_always
 from tests.components.synthetic import CPU, controller, keys, make_log
 
@@ -30,7 +32,7 @@ def test_a_deterministic_operator_is_cloned() -> None:
     # A tenth of the steps explores, which costs a perfect clone 1/3 + mean a^2 there, about 0.04
     # in all; measured 0.059 on two held-out trajectories.
     assert metrics["validation_mse"] < 0.08
-    steps, values = curves.of_lane(0)["model/validation_mse"]
+    steps, values = curves.of_lane(0)["model/validation_loss"]
     assert len(steps) == 60
     assert metrics["validation_mse"] == pytest.approx(min(values), rel=1e-6)
 
@@ -70,18 +72,32 @@ def test_lanes_learn_as_alone() -> None:
         assert loss["validation_mse"] == pytest.approx(expected["validation_mse"], rel=1e-4)
 
 
+def test_schedule_and_weight_decay_reach_the_optimiser() -> None:
+    """Their defaults change nothing, a falling rate and a pull do."""
+    log = make_log(episodes=5, steps=40)
+
+    def size(config: BehaviourPolicyConfig) -> float:
+        [policy], _, _ = fit_behaviour_policies([log], config, keys(0), CPU)
+        return float(sum(weight.square().sum() for weight, _ in policy.layers))
+
+    plain = size(SMALL)
+    assert size(dataclasses.replace(SMALL, schedule="constant", weight_decay=0.0)) == plain
+    assert size(dataclasses.replace(SMALL, schedule="cosine")) != plain
+    assert size(dataclasses.replace(SMALL, weight_decay=1.0)) < 0.99 * plain
+
+
 @pytest.mark.parametrize("deaths", [[0], [11], [10, 25], [35]])
 def test_interrupted_equals_uninterrupted(
     deaths: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    save_always(monkeypatch, behaviour_policy)
+    save_always(monkeypatch, supervised)
     logs = [make_log("one", seed=1), make_log("two", seed=2)]
 
     def fit(checkpoint: Path | None) -> tuple:
         return fit_behaviour_policies(logs, SMALL, keys("a", "b"), CPU, checkpoint)
 
     expected = fit(None)
-    found = killed_at(deaths, behaviour_policy._BehaviourLearner, fit, tmp_path / "c", monkeypatch)
+    found = killed_at(deaths, StackedFit, fit, tmp_path / "c", monkeypatch)
     for ours, theirs in zip(found[0], expected[0], strict=True):
         for (w, b), (v, c) in zip(ours.layers, theirs.layers, strict=True):
             assert torch.equal(w, v)
@@ -94,7 +110,7 @@ def test_what_was_best_survives_an_interruption(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At so high a rate the best state lies before the last checkpoint, the one after update 40."""
-    save_always(monkeypatch, behaviour_policy)
+    save_always(monkeypatch, supervised)
     config = BehaviourPolicyConfig(hidden=(8,), epochs=8, batch=32, learning_rate=0.05)
     logs = [make_log("one", seed=1), make_log("two", seed=2)]
 
@@ -103,10 +119,9 @@ def test_what_was_best_survives_an_interruption(
 
     expected = fit(None)
     for lane in (0, 1):
-        _, losses = expected[2].of_lane(lane)["model/validation_mse"]
+        _, losses = expected[2].of_lane(lane)["model/validation_loss"]
         assert min(losses[:6]) < min(losses[6:]), "epochs of six updates"
-    learner = behaviour_policy._BehaviourLearner
-    found = killed_at([45], learner, fit, tmp_path / "c", monkeypatch)
+    found = killed_at([45], StackedFit, fit, tmp_path / "c", monkeypatch)
     for ours, theirs in zip(found[0], expected[0], strict=True):
         for (w, _), (v, _) in zip(ours.layers, theirs.layers, strict=True):
             assert torch.equal(w, v)

@@ -10,10 +10,23 @@ import torch
 from torch import Tensor
 
 from components.data.normaliser import Normaliser
+from components.models.mlp_ensemble import MLPTransition
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import MachineRule, VirtualMachine, discounted_sum
-from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
+from components.models.rollout import (
+    MachineRule,
+    PredictionRange,
+    VirtualMachine,
+    _first_lowest,
+    discounted_sum,
+)
+from tests.components.synthetic import (
+    CPU,
+    SCALE,
+    make_log,
+    random_ensemble,
+    random_mlp_ensemble,
+)
 
 LOG = make_log()
 RULE = MachineRule.of_card(LOG.card)
@@ -96,6 +109,25 @@ def test_predictions_are_clipped_to_the_known_range() -> None:
     assert (seen[1, 0, :, 4] == 46.0).all()
     assert (seen[1, 0, :, 5] == 84.0).all()
     torch.testing.assert_close(rewards, torch.full((2, 1, 4), -0.03 * 46.0 - 0.01 * 84.0))
+
+
+@pytest.mark.parametrize(
+    ("limits", "fatigue", "consumption"), [("data", 46.0, 84.0), ("free", 60.0, 44.0)]
+)
+def test_clipping_is_an_option_and_steps_tell_what_was_drawn(
+    limits: PredictionRange, fatigue: float, consumption: float
+) -> None:
+    ensemble = constant_ensemble([5.0], [-7.0], low=-2.0, high=1.5)
+    scaling = Normaliser.stack([PLAIN])
+    transition = RecurrentTransition([ensemble], CPU)
+    virtual = VirtualMachine(transition, RULE, scaling, CPU, limits)
+    for step in virtual.unroll(HISTORY, lambda seen: torch.zeros(1, 4, 3), 3):
+        # 40 + 4 z and 100 + 8 z, exact in float32
+        assert step.frames[0, :, 4:].tolist() == [[fatigue, consumption]] * 4
+        assert step.drawn[0, :, 0].tolist() == [[5.0] * 4, [-7.0] * 4]
+        torch.testing.assert_close(
+            step.rewards, torch.full((1, 4), -0.03 * fatigue - 0.01 * consumption)
+        )
 
 
 def by_loop(ensemble: RecurrentEnsemble, history: np.ndarray, actions: np.ndarray) -> tuple:
@@ -184,6 +216,53 @@ def test_gradients_flow_through_time() -> None:
         rise = total(weights + step * direction) - total(weights - step * direction)
     # central difference in double precision; a change of the chosen member would show as a jump
     assert float(rise / (2 * step)) == pytest.approx(float((gradient * direction).sum()), rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["recurrent", "gaussian"])
+@pytest.mark.parametrize("propagation", ["minimum", "isolated", "numbers"])
+def test_without_gradients_the_steps_are_the_same(kind: str, propagation: str) -> None:
+    """Also after later ones have been made: what a step shows is not overwritten."""
+    model = random_ensemble if kind == "recurrent" else random_mlp_ensemble
+    ensembles = [model(LOG, name) for name in "ab"]
+    scaling = Normaliser.stack([Normaliser.fit(LOG.frames)] * 2)
+    transition = (
+        RecurrentTransition(ensembles, CPU)
+        if kind == "recurrent"
+        else MLPTransition(ensembles, scaling, CPU)
+    )
+    virtual = VirtualMachine(transition, RULE, scaling, CPU)
+    history = torch.from_numpy(LOG.frames[:60].reshape(2, 10, 3, 6).copy())
+    generator = torch.Generator().manual_seed(0)
+    matrix = 0.3 * torch.randn(2, 18, 3, generator=generator)
+    chosen = torch.randint(3, (12, 2, 10), generator=generator)
+    which = chosen if propagation == "numbers" else propagation
+
+    def act(seen: Tensor) -> Tensor:
+        return torch.tanh(seen @ matrix)
+
+    recorded = list(virtual.unroll(history, act, 12, which))
+    copies = 3 if propagation == "isolated" else 1
+    begun = transition.begin(history[:, None].expand(-1, copies, -1, -1, -1))
+    with torch.no_grad():
+        plain = list(virtual.unroll(history, act, 12, which))
+        continued = list(virtual.unroll(history, act, 12, which, state=begun))
+        again = list(virtual.unroll(history, act, 12, which, state=begun))
+    for number, step in enumerate(recorded):
+        for other in (plain[number], continued[number], again[number]):
+            # twelve steps whose tanh is another kernel
+            for name in ("observations", "actions", "rewards", "frames", "drawn"):
+                ours, theirs = getattr(other, name), getattr(step, name)
+                torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(
+                other.prediction.values, step.prediction.values, rtol=1e-4, atol=1e-4
+            )
+    shown = {tuple(step.observations[0, 0, :6].tolist()) for step in plain}
+    assert len(shown) == 12, "the frames must differ for this test to say something"
+
+
+def test_of_equally_low_rewards_the_first_member_is_followed() -> None:
+    rewards = torch.tensor([[[0.0, 2.0, 1.0], [-1.0, 2.0, 3.0], [-1.0, 2.0, 0.5]]])
+    assert _first_lowest(rewards).tolist() == [[[1, 0, 2]]]
 
 
 def test_return_rises_where_less_is_consumed() -> None:

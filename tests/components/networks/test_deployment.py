@@ -1,5 +1,7 @@
 """How policies act: every kind against plain loops, with noise as the only source of chance."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -113,6 +115,23 @@ def test_deterministic_kinds_squash_or_clip_the_actors_output() -> None:
             out = network(parts.actor, lane, floats(x)[lane].reshape(BATCH, -1))
             assert np.abs(out).max() > 1.0  # or clipping would not show
             np.testing.assert_allclose(floats(actions)[lane], bounded(out), atol=1e-5)  # float32
+
+
+def test_tanh_between_the_layers_by_a_plain_loop() -> None:
+    parts, x = Parts("clipped_tanh_layers"), seen_frames()
+    actions, beyond = parts.policy().act(x), 0
+    for lane, i in np.ndindex(2, BATCH):
+        seen = floats(x)[lane, i].reshape(-1)
+        (inner, bias), (outer, last) = (
+            (floats(w)[lane], floats(b)[lane, 0]) for w, b in parts.actor.affine()
+        )
+        hidden = [math.tanh(sum(seen * inner[:, h]) + bias[h]) for h in range(len(bias))]
+        for d in range(ACTED):
+            out = last[d] + sum(h * outer[n, d] for n, h in enumerate(hidden))
+            beyond += abs(out) > 1.0
+            # two layers in float32
+            assert actions[lane, i, d].item() == pytest.approx(max(-1.0, min(1.0, out)), abs=1e-5)
+    assert 0 < beyond < 2 * BATCH * ACTED, "some actions must be clipped and some must not"
 
 
 @every_kind

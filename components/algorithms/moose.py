@@ -1,0 +1,222 @@
+"""MOOSE: model-based offline policy search with ensembles, held back by a reconstruction penalty.
+
+Swazinna, Udluft, Runkler, "Overcoming Model Bias for Robust Offline Deep Reinforcement Learning"
+(2021); thesis 5.1, equations 5.4 to 5.15 and algorithm 1. The policy is trained purely on virtual
+trajectories of a learned ensemble of one-step models. Per update and lane:
+
+    draw B start states from the whole log
+    every one of K members rolls pi out for H steps on its own
+    R_k  = sum_t gamma^t r_t                               (trajectory of member k)
+    R    = eta min_k R_k + (1 - eta) mean_k R_k            (per start state, 5.15)
+    P    = mean_k sum_t gamma_P^t mean_d (pi - a')_d^2     (a' decoded from a sample of q(z | s, a))
+    loss = mean[-lambda R + (1 - lambda) P]                (5.14)
+
+The autoencoder rebuilds badly what was not logged, strange actions and strange states alike; the
+gradient reaches the policy through both. Models and autoencoder stay as they were fitted.
+
+What the thesis leaves open: errors are accumulated "similarly to the rewards", so they are
+discounted, though 5.13 prints no discount. (Undiscounted, an untrained policy, whose drifting
+trajectories end where nothing was logged, has a gradient six times as long on mediocre-0.4, and the
+first steps at the thesis's rate overshoot.) Action dimensions are averaged, as in the autoencoder's
+own loss and in LION. Rewards are not normalised; those of the Industrial Benchmark are stored
+divided by 100. The optimiser is plain gradient descent there and Adam at 1e-5 on MuJoCo, as the
+experimental section says (the method section names Adam).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from components.algorithms.base import Ingredients, StackedLearner, gather_gradients, saturation
+from components.data.normaliser import Normaliser
+from components.models.action_vae import ActionReconstruction, ActionVAE
+from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
+from components.models.rollout import VirtualMachine, discounted_sum
+from components.networks import (
+    LaneStreams,
+    StackedMLP,
+    lane_groups,
+    lanewise_mean,
+    normal_draw,
+    spawn_generators,
+)
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import adam
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner", "mixed_return"]
+
+VERSION = 1
+NEEDS = ("action_vae", "deterministic_ensemble")
+TAKES_LAMBDA = False
+FRAME_EPSILON = 0.0
+LANES_AT_ONCE = {"cpu": 1, "cuda": 8}  # trajectories keep 0.6 GiB a lane for the gradient
+DRAWN_AT_ONCE = 5  # updates; every one needs a normal number per virtual step and latent
+
+Optimize = Callable[[Sequence[Tensor], float], torch.optim.Optimizer]
+OPTIMIZERS: Final = MappingProxyType[str, Optimize]({"sgd": torch.optim.SGD, "adam": adam})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """MOOSE's settings (thesis 5.1.2)."""
+
+    updates: int = 1000
+    hidden: tuple[int, ...] = (400, 300)  # policy layers
+    optimizer: str = "sgd"  # plain, for the Industrial Benchmark; adam for MuJoCo
+    learning_rate: float = 1e-4  # 1e-5 for MuJoCo
+    trajectories: int = 100  # B, start states per update, each continued by every member
+    horizon: int = 100  # H, steps of a virtual trajectory
+    discount: float = 0.97  # gamma
+    penalty_discount: float = 0.97  # gamma_P, of later steps' errors
+    return_weight: float = 0.01  # lambda, against the penalty's 1 - lambda
+    minimum_weight: float = 0.5  # eta, of the least member's return against the mean's 1 - eta
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        if min(self.updates, self.trajectories, self.horizon, *self.hidden) < 1:
+            raise ValueError("updates, hidden, trajectories and horizon must be at least 1.")
+        if self.learning_rate <= 0 or not all(
+            0 < d <= 1 for d in (self.discount, self.penalty_discount)
+        ):
+            raise ValueError(
+                "learning_rate must be positive and discount and penalty_discount lie in (0, 1]."
+            )
+        if not 0 <= self.return_weight <= 1 or not 0 <= self.minimum_weight <= 1:
+            raise ValueError("return_weight and minimum_weight must lie in [0, 1].")
+        if self.optimizer not in OPTIMIZERS:
+            raise ValueError(
+                f"optimizer must be {' or '.join(OPTIMIZERS)}, got {self.optimizer!r}."
+            )
+
+
+def mixed_return(returns: Tensor, minimum_weight: float) -> Tensor:
+    """Estimates ``[L, B]`` from the members' trajectory returns ``[L, K, B]`` (equation 5.15)."""
+    least = returns.min(dim=1).values
+    return minimum_weight * least + (1.0 - minimum_weight) * returns.mean(dim=1)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some lanes: their policies and the fitted models these meet."""
+
+    lanes: slice
+    actor: StackedMLP
+    machine: VirtualMachine
+    reconstruct: ActionReconstruction
+
+
+class Learner(StackedLearner):
+    """A stack of MOOSE policies, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._config, self._data = config, parts.data
+        data, device = parts.data, parts.data.device
+        self.lanes = data.lanes
+        sizes = (data.observation_width, *config.hidden, data.action_width)
+        self._actor = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
+        self._networks = {"policy": self._actor}
+        learned = list(self._actor.parameters())
+        self._optimizers = {"policy": OPTIMIZERS[config.optimizer](learned, config.learning_rate)}
+        ensembles = parts.fitted("deterministic_ensemble", MLPEnsemble)
+        autoencoders = parts.fitted("action_vae", ActionVAE)
+        at_once = LANES_AT_ONCE.get(device.type, 1)
+        self._parts = []
+        for lanes, actor in lane_groups(self._actor, self.lanes, -(-self.lanes // at_once)):
+            seen = data.frame_scaling
+            scaling = Normaliser(seen.mean[lanes], seen.scale[lanes])
+            model = MLPTransition(ensembles[lanes], scaling, device)
+            machine = VirtualMachine(model, parts.machine, scaling, device)
+            reconstruct = ActionReconstruction(autoencoders[lanes], scaling, device)
+            self._parts.append(_Part(lanes, actor, machine, reconstruct))
+        acting = ensembles[0].members * config.trajectories
+        latent = self._parts[0].reconstruct.latent
+        self._streams = LaneStreams(
+            parts.keys,
+            {
+                "start": data.row_draw(config.trajectories),
+                "latent": normal_draw(config.horizon, acting, latent),
+            },
+            device,
+            block=DRAWN_AT_ONCE,
+        )
+
+    # -- losses -----------------------------------------------------------------------------
+
+    def _virtual(
+        self, part: _Part, history: Tensor, latent: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What virtual trajectories bring and cost.
+
+        Args:
+            part: Some lanes.
+            history: Their start states ``[L, B, H, F]``, raw.
+            latent: Standard normal ``[L, T, K * B, Z]``.
+
+        Returns:
+            Discounted returns and penalties of every member's trajectories, ``[L, K, B]``
+            each, and the share of action entries on a bound ``[L]``.
+        """
+        penalties: list[Tensor] = []
+        saturated: list[Tensor] = []
+
+        def act(observations: Tensor) -> Tensor:
+            actions = torch.tanh(part.actor(observations))
+            rebuilt = part.reconstruct(observations, actions, latent[:, len(penalties)])
+            penalties.append((actions - rebuilt).square().mean(dim=-1))
+            saturated.append(saturation(actions))
+            return actions
+
+        steps = part.machine.unroll(history, act, self._config.horizon, "isolated")
+        returns = discounted_sum([step.rewards for step in steps], self._config.discount)
+        penalty = discounted_sum(penalties, self._config.penalty_discount)
+        by_member = (len(returns), -1, history.shape[1])
+        return returns.view(by_member), penalty.view(by_member), torch.stack(saturated).mean(dim=0)
+
+    def _loss(
+        self, part: _Part, history: Tensor, latent: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Loss ``[L]`` of some lanes, and metrics; arguments as above."""
+        weight = self._config.return_weight
+        returns, penalty, saturated = self._virtual(part, history, latent)
+        estimate = lanewise_mean(mixed_return(returns, self._config.minimum_weight))
+        cost = lanewise_mean(penalty)
+        loss = -weight * estimate + (1.0 - weight) * cost
+        metrics = {
+            "policy/loss": loss,
+            "policy/return_estimate": estimate,
+            "policy/virtual_return": lanewise_mean(returns),
+            "policy/least_virtual_return": lanewise_mean(returns.amin(dim=1)),
+            "policy/penalty": cost,
+            "policy/saturated_share": saturated,
+        }
+        return loss, {name: value.detach() for name, value in metrics.items()}
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One policy update on all lanes, part by part: together they would fill the memory."""
+        drawn = self._streams.at(step)
+        history = self._data.denormalise_history(self._data.observations(drawn["start"]))
+        found = []
+        for part in self._parts:
+            part.actor.zero_grad(set_to_none=True)
+            loss, metrics = self._loss(part, history[part.lanes], drawn["latent"][part.lanes])
+            loss.sum().backward()
+            found.append(metrics)
+        gather_gradients(self._actor, [part.actor for part in self._parts])
+        self._optimizers["policy"].step()
+        return {name: torch.cat([metrics[name] for metrics in found]) for name in found[0]}
+
+    # -- what is deployed ---------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+        return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)

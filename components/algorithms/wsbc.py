@@ -1,0 +1,214 @@
+"""WSBC: the policy is searched for in a small box around the weights of the cloned behaviour.
+
+Swazinna, Udluft, Hein, Runkler, "Behavior Constraining in Weight Space for Offline Reinforcement
+Learning" (2021); thesis 5.2, equations 5.17 to 5.20 and algorithm 2. There is no gradient: a swarm
+of particles, each the weights of a policy of the clone's own architecture, looks for the largest
+
+    L(theta) = mean over start states of sum_t gamma^t r_t                               (5.17)
+
+on virtual trajectories of the transition ensemble, every step taking the member of lowest predicted
+reward. Every weight stays within ``psi - d`` and ``psi + d`` of the clone's (5.20). An update is an
+iteration of the swarm: all particles are evaluated on the same start states, remember their best
+positions and move. The policy of an iteration is the best position any particle has had so far.
+
+Equation 5.21 misprints the velocity (the neighbourhood's best twice, no inertia); here it is 2.57
+with the constants of thesis 2.6. The text leaves open and this module decides:
+
+- particle 0 begins as the clone itself, the others uniformly in its box; the first iteration
+  evaluates them where they begin;
+- no velocity exceeds half the width of the box;
+- start states come from the first ``start_window`` steps of trajectories, as LION's do, and are
+  drawn once per lane;
+- the box is on the weights as the clone's artifact stores them: policies see frames in the clone's
+  own scaling and are deployed with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from components.algorithms.base import Ingredients, StackedLearner, first_rows
+from components.algorithms.particle_swarm import Swarm, SwarmRule
+from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.models.recurrent_transition import RecurrentTransition
+from components.models.rollout import VirtualMachine, discounted_sum
+from components.networks import LaneStreams, spawn_generators
+from components.networks.deployment import KINDS, Layers
+from components.networks.policy import Policy, PolicyCard
+
+__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+
+VERSION = 1
+NEEDS = ("behaviour_policy", "recurrent_ensemble")
+TAKES_LAMBDA = False
+FRAME_EPSILON = 0.0  # of the data's frames; the policies see them as the clone does
+
+TRAJECTORIES_AT_ONCE: Final = 4000
+"""Virtual trajectories of a chunk: what they need at one step should fit a processor's cache."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """WSBC's settings (thesis 5.2.2 and 2.6)."""
+
+    updates: int = 100  # iterations of the swarm
+    box: float = 0.0125  # d, largest change of a weight
+    particles: int = 200
+    neighbourhood: int = 31  # on the ring, the particle itself and as many on either side
+    inertia: float = 0.7298  # w
+    own_pull: float = 1.49618  # c1, towards a particle's own best
+    ring_pull: float = 1.49618  # c2, towards the neighbourhood's best
+    starts: int = 200  # start states of a lane, the same for all particles and iterations
+    horizon: int = 100  # steps of a virtual trajectory
+    discount: float = 0.97  # gamma
+    start_window: int = 30  # start states: the first so many steps of every trajectory
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        counts = (self.updates, self.particles, self.starts, self.horizon, self.start_window)
+        if min(counts) < 1:
+            raise ValueError(
+                "updates, particles, starts, horizon and start_window must be at least 1."
+            )
+        if self.neighbourhood % 2 == 0 or not 1 <= self.neighbourhood <= self.particles:
+            raise ValueError(
+                "neighbourhood must be odd and at most the number of particles, got "
+                f"{self.neighbourhood} of {self.particles}."
+            )
+        if min(self.box, self.own_pull, self.ring_pull) < 0:
+            raise ValueError("box, own_pull and ring_pull must not be negative.")
+        if not 0 <= self.inertia < 1:
+            raise ValueError(f"inertia must lie in [0, 1), got {self.inertia}.")
+        if not 0 < self.discount <= 1:
+            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
+
+
+class Learner(StackedLearner):
+    """A stack of WSBC swarms, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._config, self._data = config, parts.data
+        data, device = parts.data, parts.data.device
+        self.lanes = data.lanes
+        clones = parts.fitted("behaviour_policy", Policy)
+        self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
+        ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
+        self._machine = VirtualMachine(
+            RecurrentTransition(ensembles, device), parts.machine, self._behaviour.frames, device
+        )
+        self._history = self._start_histories(parts.keys)
+        # What the ensemble remembers of the record before the start: the same for all particles.
+        self._begun = self._machine.model.begin(self._history[:, None])
+        self._centre = torch.cat(
+            [t.flatten(1) for layer in self._behaviour.layers for t in layer], 1
+        )
+        self._swarm = self._first_swarm(parts.keys)
+        self._networks = {"swarm": self._swarm}
+        self._optimizers = {}
+        size = tuple(self._swarm.positions.shape[1:])
+        self._streams = LaneStreams(
+            parts.keys,
+            {
+                "own": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
+                "ring": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
+            },
+            device,
+            block=1,  # two numbers per weight of every particle fill memory
+        )
+
+    def _start_histories(self, keys: Sequence[int]) -> Tensor:
+        """Raw frames ``[L, S, H, F]`` of the start states, newest first."""
+        config, data = self._config, self._data
+        rows = [
+            generator.choice(first_rows(dataset, config.start_window), size=config.starts)
+            for generator, dataset in zip(
+                spawn_generators(keys, "start"), data.datasets, strict=True
+            )
+        ]
+        start = torch.from_numpy(np.stack(rows)).to(data.device)
+        return data.denormalise_history(data.observations(start))
+
+    def _first_swarm(self, keys: Sequence[int]) -> Swarm:
+        """The clone itself, and the other particles uniformly in the box around it."""
+        config, centre = self._config, self._centre
+        size = (config.particles, centre.shape[1])
+        drawn = [g.uniform(-1.0, 1.0, size) for g in spawn_generators(keys, "positions")]
+        away = torch.from_numpy(np.stack(drawn)).float().to(centre.device)
+        away[:, 0] = 0.0
+        rule = SwarmRule(config.neighbourhood, config.inertia, config.own_pull, config.ring_pull)
+        low, high = centre - config.box, centre + config.box
+        return Swarm(rule, centre[:, None] + config.box * away, low, high)
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def _layers(self, positions: Tensor) -> Layers:
+        """Weights and biases of the policies at ``positions [L, C, D]``, ``L * C`` of them."""
+        layers, place = [], 0
+        flat = positions.flatten(0, 1)
+        for layer in self._behaviour.layers:
+            pair = []
+            for tensor in layer:
+                size = tensor[0].numel()
+                part = flat[:, place : place + size]
+                pair.append(part.reshape(-1, *tensor.shape[1:]))
+                place += size
+            layers.append((pair[0], pair[1]))
+        return tuple(layers)
+
+    def _act(self, layers: Layers, observations: Tensor) -> Tensor:
+        """Actions ``[L, C * B, A]`` of C policies a lane, each at B observations in a row."""
+        grouped = observations.view(len(layers[0][0]), -1, observations.shape[-1])
+        actions = KINDS["tanh"]({"actor": layers}, grouped, None, 0.0)
+        return actions.view(*observations.shape[:2], -1)
+
+    # -- fitness ----------------------------------------------------------------------------
+
+    def _returns(self, positions: Tensor) -> Tensor:
+        """Mean virtual returns ``[L, C]`` of the policies at ``positions [L, C, D]`` (5.17)."""
+        lanes, count, _ = positions.shape
+        layers = self._layers(positions)
+        steps = self._machine.unroll(
+            self._history[:, None].expand(-1, count, -1, -1, -1).flatten(1, 2),
+            lambda observations: self._act(layers, observations),
+            self._config.horizon,
+            state=self._begun[:, :, None].expand(-1, -1, count, -1).flatten(2),
+        )
+        returns = discounted_sum([step.rewards for step in steps], self._config.discount)
+        return returns.view(lanes, count, -1).mean(dim=2)
+
+    @torch.no_grad()
+    def _fitness(self) -> Tensor:
+        """Mean virtual returns of all particles, ``[L, N]``; chunks of them bound the memory."""
+        chunk = max(1, TRAJECTORIES_AT_ONCE // (self.lanes * self._config.starts))
+        return torch.cat([self._returns(p) for p in self._swarm.positions.split(chunk, 1)], 1)
+
+    # -- update -----------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One iteration of all swarms."""
+        drawn = self._streams.at(step)
+        fitness = self._fitness()
+        better = self._swarm.remember(fitness)
+        self._swarm.move(drawn["own"], drawn["ring"])
+        return {
+            "policy/virtual_return": self._swarm.best_fitness.amax(dim=1),
+            "policy/weight_distance": (self._swarm.best - self._centre).abs().mean(dim=1),
+            "swarm/virtual_return": fitness.mean(dim=1),
+            "swarm/improved_share": better.float().mean(dim=1),
+        }
+
+    # -- what is deployed ------------------------------------------------------------------------
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The best policies so far, one per lane; before the first update the clones."""
+        layers = self._layers(self._swarm.best[:, None])
+        return Policy.of_networks(card, {"actor": layers}, self._behaviour.frames)

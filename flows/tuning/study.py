@@ -1,0 +1,265 @@
+"""One search: the Optuna study of a model on a dataset, kept in a journal file.
+
+The study's name ends in a digest of all that its losses depend on and that is not searched, so a
+study never mixes losses that cannot be compared. The driver alone writes. It may be killed at any
+line; :meth:`Study.recover` then sets straight what it left:
+
+- a trial that was running is failed, and its parameters are put in line again: the new trial means
+  the same node, so its checkpoint or its finished artifact is used;
+- a trial that was found hopeless is pruned, whatever its worker came to know of that.
+
+A trial that failed by itself has a reason among its attributes and counts; one that was merely
+interrupted has none and does not.
+"""
+
+import fcntl
+import math
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.distributions import distribution_to_json
+from optuna.exceptions import ExperimentalWarning
+from optuna.storages.journal import JournalFileBackend, JournalStorage
+from optuna.trial import FrozenTrial, Trial, TrialState
+
+from flows.pipeline.plan import Node, digest
+from flows.tuning import space as spaces
+
+__all__ = ["Study", "Subject", "ended_trials", "has_ended", "open_journal"]
+
+_RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
+_COMPARED_FROM = 5  # complete trials before any is given up
+_PATIENCE = 25  # percent of the budget that every trial gets
+_COMPARED = 3  # losses at the same percentage that a comparison needs
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is searched.
+
+    Attributes:
+        dataset: Its name.
+        model: Name of the model.
+        start: Configuration object the search starts from; its first trial.
+        space: What is varied.
+        data: The dataset's node.
+        node: Makes the node that fits a configuration.
+    """
+
+    dataset: str
+    model: str
+    start: Any
+    space: spaces.Space
+    data: Node
+    node: Callable[[Any], Node]
+
+    @property
+    def name(self) -> str:
+        """Of the study: equal names hold comparable losses."""
+        drawn = spaces.distributions(self.space, self.start)
+        decisive = {
+            "data": self.data.key,
+            "fit": self.node(self.start).version,
+            "fixed": spaces.fixed(self.space, self.start),
+            "space": {name: distribution_to_json(kind) for name, kind in drawn.items()},
+            "space_version": spaces.VERSION,
+        }
+        return f"{self.dataset}/{self.model}/{digest(decisive, 4)}"
+
+    def node_of(self, drawn: Mapping[str, Any], number: int) -> Node:
+        """The node of a trial.
+
+        Raises:
+            ValueError: The configuration is impossible.
+        """
+        made = self.node(spaces.settings(self.space, self.start, drawn))
+        return replace(made, name=f"{made.name}/trial{number}")
+
+
+class _Lock:
+    """Optuna's journal lock as a kernel lock: a killed process leaves nothing to wait for."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle: int | None = None
+
+    def acquire(self) -> bool:
+        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        fcntl.flock(self._handle, fcntl.LOCK_EX)
+        return True
+
+    def release(self) -> None:
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+
+
+def open_journal(path: Path) -> JournalStorage:
+    """Open the file that holds all studies; made if missing.
+
+    Args:
+        path: ``optuna-dashboard PATH`` shows it.
+    """
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = _Lock(path.with_name(f".{path.name}.lock"))
+    lock.acquire()
+    try:
+        _cut_half_line(path)
+    finally:
+        lock.release()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        return JournalStorage(JournalFileBackend(str(path), lock))
+
+
+def _cut_half_line(path: Path) -> None:
+    """Remove what a full disk or a power cut left of a last line; nobody has acted on it."""
+    if not path.exists():
+        return
+    with path.open("rb+") as file:
+        content = file.read()
+        if content and not content.endswith(b"\n"):
+            file.truncate(content.rfind(b"\n") + 1)
+
+
+def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
+    """How many trials the studies have, by their names; changes nothing.
+
+    Args:
+        path: The journal.
+        subjects: What the studies are about.
+    """
+    found = dict.fromkeys((subject.name for subject in subjects), 0)
+    if not path.exists():
+        return found
+    journal = open_journal(path)
+    there = set(optuna.get_all_study_names(journal))
+    for name in found.keys() & there:
+        study = optuna.load_study(study_name=name, storage=journal)
+        found[name] = sum(map(has_ended, study.get_trials(deepcopy=False)))
+    return found
+
+
+class Study:
+    """A study that several runs of the driver continue, one after the other."""
+
+    def __init__(self, subject: Subject, journal: JournalStorage) -> None:
+        """Opens the study or makes it.
+
+        Args:
+            subject: What is searched.
+            journal: See :func:`open_journal`.
+        """
+        self.subject = subject
+        self.name = subject.name
+        self._space = spaces.distributions(subject.space, subject.start)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            self._study = optuna.create_study(
+                storage=journal, study_name=self.name, direction="minimize", load_if_exists=True
+            )
+            self._study.sampler = optuna.samplers.TPESampler(
+                # Another run of the driver shall not draw again what one before it has drawn.
+                seed=(int(digest(self.name, 4), 16) + len(self.trials())) % 2**32,
+                n_startup_trials=_RANDOM_FIRST,
+            )
+        self._study.pruner = optuna.pruners.MedianPruner(
+            n_startup_trials=_COMPARED_FROM, n_warmup_steps=_PATIENCE, n_min_trials=_COMPARED
+        )
+        self._reported: dict[int, int] = {}
+        self._start = spaces.parameters(subject.space, subject.start)
+
+    def trials(self) -> list[FrozenTrial]:
+        """All trials so far, in order."""
+        return self._study.get_trials(deepcopy=False)
+
+    @property
+    def spent(self) -> int:
+        """Trials that came to an end of their own."""
+        return sum(has_ended(trial) for trial in self.trials())
+
+    def recover(self) -> None:
+        """Set straight what a killed driver left, and put the start in line if it is missing."""
+        for trial in self.trials():
+            if trial.state is not TrialState.RUNNING:
+                continue
+            if "given_up" in trial.user_attrs:
+                self._study.tell(trial.number, state=TrialState.PRUNED)
+                continue
+            drawn = trial.system_attrs.get("fixed_params", {}) | trial.params
+            again = {t.user_attrs.get("continues") for t in self.trials()}
+            if drawn and trial.number not in again:
+                attributes = {k: v for k, v in trial.user_attrs.items() if k == "start"}
+                self._study.enqueue_trial(drawn, attributes | {"continues": trial.number})
+            # In this order: a kill between the two leaves a running trial, not a lost one.
+            self._study.tell(trial.number, state=TrialState.FAIL)
+        if self.start_trial() is None:
+            self._study.enqueue_trial(self._start, {"start": self._start})
+
+    def start_trial(self) -> FrozenTrial | None:
+        """The trial of the configuration the search starts from, unless it was interrupted."""
+        found = [t for t in self.trials() if t.user_attrs.get("start") == self._start]
+        lost = TrialState.FAIL
+        return next((t for t in found if has_ended(t) or t.state is not lost), None)
+
+    def ask(self) -> Trial:
+        """A new trial, or the next one in line."""
+        return self._study.ask(self._space)
+
+    def report(self, trial: Trial, fraction: float, loss: float) -> bool:
+        """Note a held-out loss on the way.
+
+        Args:
+            trial: A running trial.
+            fraction: Part of the budget that is spent.
+            loss: There.
+
+        Returns:
+            Whether the trial is hopeless: worse than the median of the others at this point.
+        """
+        percent = int(100 * fraction + 1e-9)
+        if percent <= self._reported.get(trial.number, 0):
+            return False
+        self._reported[trial.number] = percent
+        trial.report(loss if math.isfinite(loss) else math.nan, percent)
+        return trial.should_prune()
+
+    def give_up(self, trial: Trial) -> None:
+        """Remember that a running trial is hopeless; what it still does no longer counts."""
+        trial.set_user_attr("given_up", self._reported[trial.number])
+
+    def complete(self, trial: Trial, loss: float) -> None:
+        """End a trial with its loss."""
+        self._study.tell(trial, loss)
+
+    def prune(self, trial: Trial) -> None:
+        """End a hopeless trial."""
+        self._study.tell(trial, state=TrialState.PRUNED)
+
+    def fail(self, trial: Trial, reason: str) -> None:
+        """End a trial that could not be evaluated, for a reason of its own."""
+        last = (reason.strip() or "no reason given").splitlines()[-1]
+        trial.set_user_attr("error", last)
+        self._study.tell(trial, state=TrialState.FAIL)
+
+    def best(self) -> FrozenTrial | None:
+        """The complete trial of the lowest loss, the earliest of equals."""
+        done = [t for t in self.trials() if t.state is TrialState.COMPLETE]
+        return min(done, key=lambda t: (t.value, t.number), default=None)
+
+    def config(self, trial: FrozenTrial) -> Any:
+        """The configuration object of a trial."""
+        return spaces.settings(self.subject.space, self.subject.start, trial.params)
+
+
+def has_ended(trial: FrozenTrial) -> bool:
+    """Whether a trial was evaluated, pruned or failed by itself: not waiting, not interrupted."""
+    if trial.state is TrialState.FAIL:
+        return "error" in trial.user_attrs
+    return trial.state.is_finished()

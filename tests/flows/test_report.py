@@ -1,0 +1,58 @@
+"""What a report shows of variants of one algorithm."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows import full_benchmark
+from flows.benchmark import benchmark_plan
+from flows.pipeline.files import write_json
+from flows.pipeline.plan import Node
+from flows.pipeline.store import ArtifactStore
+from flows.settings import load_settings
+
+WORDS = [
+    "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
+]  # fmt: skip
+POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm"], -1.0)
+
+
+def finish(store: ArtifactStore, node: Node, files: dict[str, Any]) -> None:
+    folder = store.work / f"made-{node.key}"
+    for name, content in ({"node.json": {"key": node.key}} | files).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_json(folder / name, content)
+    store.publish(folder, node.key)
+
+
+def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, store = benchmark_plan(load_settings(WORDS)), ArtifactStore(tmp_path)
+    for number, node in enumerate(plan):
+        if node.component == "data_generation":
+            finish(store, node, {"dataset/card.json": {}})
+        if node.component == "aggregation":
+            points = [{"lambda": None, "policies": 1, "distance": 0.0, **POINT, "mean": number}]
+            label = node.config["algorithm"]
+            summary = {"dataset": "mediocre-0.2", "algorithm": label, "seeds": [0]}
+            finish(store, node, {"summary.json": summary | {"points": points}})
+
+    class Card:
+        name, first_window_return_mean = "mediocre-0.2", -2.0
+
+    drawn = []
+    monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
+    monkeypatch.setattr(
+        full_benchmark, "proximity_figure", lambda name, summaries, mean: drawn.extend(summaries)
+    )
+    [table, _], rows, _ = full_benchmark.write_report(tmp_path / "report", plan, store)
+    labels = ["mopo-penalty-0", "mopo-penalty-2.5", "lion"]
+    assert [row["algorithm"] for row in rows] == labels
+    with table.open(encoding="utf-8") as file:
+        read = list(csv.DictReader(file))
+    assert [row["algorithm"] for row in read] == labels
+    assert len({row["mean"] for row in read}) == 3
+    assert [summary["algorithm"] for summary in drawn] == ["lion"]

@@ -1,0 +1,314 @@
+"""A real search by its door, on tiny data, and benchmark runs that use what it found."""
+
+import re
+import shutil
+import sqlite3
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from components.data.dataset import OfflineDataset
+from components.models import MODELS
+from flows import full_benchmark, tune_models
+from flows.benchmark import benchmark_plan, model_choice
+from flows.pipeline.plan import Node
+from flows.pipeline.store import ArtifactStore
+from flows.session import main
+from flows.settings import ALIASES, Settings, SettingsError, load_settings
+from flows.tuning.ledger import TrialLedger
+from flows.tuning.study import Study, open_journal
+from tests.flows.tuning.toys import run as search_toy
+from tests.flows.tuning.toys import study as toy_study
+
+WORDS = (
+    "profile=smoke", "datasets=[mediocre-0.2]", "data.trajectories=4", "data.steps=100",
+    "runner.executor=serial",
+)  # fmt: skip
+CHOSEN = ["behaviour_policy", "recurrent_ensemble"]
+TRIALS = 4
+
+
+def door(module: Any, words: Sequence[str], aliases: dict[str, str]) -> int:
+    """What a shell would see."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "argv", ["door", *words])
+        patched.delenv("MLFLOW_TRACKING_URI", raising=False)
+        with pytest.raises(SystemExit) as ended:
+            main("door", module.HELP, module._run, aliases)
+    return ended.value.code  # type: ignore[return-value]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tuned")
+    words = [*WORDS, f"models=[{','.join(CHOSEN)}]", f"trials={TRIALS}"]
+    words += [f"store={folder}/mlruns", f"models.folder={folder}/conf"]
+    assert door(tune_models, words, tune_models.ALIASES) == 0
+    return folder
+
+
+def words_of(home: Path) -> list[str]:
+    return [*WORDS, f"store={home}/mlruns", f"models.folder={home}/conf"]
+
+
+def settings_of(home: Path, *words: str) -> Settings:
+    return load_settings([*words_of(home), "algorithms=[lion]", "models=tuned", *words])
+
+
+def studies_of(home: Path) -> dict[str, Study]:
+    words = [*words_of(home), f"models=[{','.join(CHOSEN)}]"]
+    settings = load_settings(words, tune_models.ALIASES)
+    journal = open_journal(home / "mlruns" / "optuna" / "journal.log")
+    return {s.model: Study(s, journal) for s in tune_models.subjects(settings)}
+
+
+def fits(settings: Settings) -> dict[str, Node]:
+    plan = benchmark_plan(settings)
+    return {n.tags["model"]: n for n in plan if n.component == "model_fitting"}
+
+
+@pytest.mark.parametrize("model", CHOSEN)
+def test_the_file_says_what_was_found(model: str, home: Path) -> None:
+    study, store = studies_of(home)[model], ArtifactStore(home / "mlruns")
+    assert study.spent == TRIALS
+    best, start = study.best(), study.start_trial()
+    path = home / "conf" / "mediocre-0.2" / f"{model}.yaml"
+    found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert (found["dataset"], found["model"]) == ("mediocre-0.2", model)
+    assert (found["study"], found["trial"], found["trials"]) == (study.name, best.number, TRIALS)
+    assert found["validation_loss"] == best.value <= found["default_validation_loss"]
+    assert found["default_validation_loss"] == start.value
+    data = study.subject.data
+    assert found["data_key"] == data.key
+    dataset = OfflineDataset.open(store.path(data.key) / "dataset")
+    assert found["data_digest"] == dataset.card.digest
+    kind = MODELS[model].config
+    settings = {k: tuple(v) if isinstance(v, list) else v for k, v in found["settings"].items()}
+    assert kind(**settings) == study.config(best)
+    # the numbers of the study are those of the artifacts
+    metrics = store.path(best.user_attrs["key"]) / "metrics.json"
+    assert yaml.safe_load(metrics.read_text())["validation_loss"] == best.value
+
+
+def test_the_first_trial_is_what_a_benchmark_without_tuning_fits(home: Path) -> None:
+    default = fits(settings_of(home, "models=default"))
+    for model, study in studies_of(home).items():
+        assert study.start_trial().user_attrs["key"] == default[model].key
+
+
+def test_a_benchmark_uses_the_winners_without_fitting_again(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = ArtifactStore(home / "mlruns")
+    nodes = fits(settings_of(home))
+    for model, study in studies_of(home).items():
+        assert nodes[model].key == study.best().user_attrs["key"]
+        assert store.complete(nodes[model].key)
+    words = [*words_of(home), "algorithms=[moose]", "models=tuned", "dry_run=true"]
+    assert door(full_benchmark, words, dict(ALIASES)) == 0
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "Models with tuned settings: mediocre-0.2/behaviour_policy.",
+        "Models with default settings: mediocre-0.2/action_vae, "
+        "mediocre-0.2/deterministic_ensemble.",
+    ]
+
+
+def test_models_without_a_file_keep_their_default(home: Path) -> None:
+    settings = settings_of(home, "algorithms=[lion,moose]")
+    choice = model_choice(settings)
+    assert choice.tuned == {("mediocre-0.2", model) for model in CHOSEN}
+    assert choice.configs["mediocre-0.2", "action_vae"] == settings.model["action_vae"]
+
+
+def test_tuned_and_per_seed_go_together(home: Path) -> None:
+    plan = benchmark_plan(settings_of(home, "models.per_seed=true", "seeds=[0,5]"))
+    tuned = {model: node.config["settings"] for model, node in fits(settings_of(home)).items()}
+    made = [n for n in plan if n.component == "model_fitting"]
+    assert {(n.tags["model"], n.config["seed"]) for n in made} == {
+        (model, seed) for model in CHOSEN for seed in (0, 5)
+    }
+    assert all(n.config["settings"] == tuned[n.tags["model"]] for n in made)
+
+
+def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
+    ledger = TrialLedger(home / "mlruns")
+    [parent] = ledger.client.search_runs([ledger.experiment], "tags.kind = 'search'")
+    assert parent.info.status == "FINISHED"
+    names = {f.path for f in ledger.client.list_artifacts(parent.info.run_id, "report")}
+    assert names == {f"report/{model}.yaml" for model in CHOSEN}
+    for model, study in studies_of(home).items():
+        runs = ledger.client.search_runs([ledger.experiment], f"tags.study = '{study.name}'")
+        assert {int(run.data.tags["trial"]) for run in runs} == set(range(TRIALS))
+        assert len(runs) == TRIALS
+        for run in runs:
+            trial = study.trials()[int(run.data.tags["trial"])]
+            assert run.data.tags["mlflow.parentRunId"] == parent.info.run_id
+            assert (run.info.status, run.data.tags["state"]) == ("FINISHED", "COMPLETE")
+            assert run.data.metrics["validation_loss"] == trial.value
+            assert run.data.tags["key"] == trial.user_attrs["key"]
+            assert run.info.run_name == f"{model}/mediocre-0.2/trial{trial.number}"
+        lowest = ledger.client.get_metric_history(
+            parent.info.run_id, f"best_loss/mediocre-0.2/{model}"
+        )
+        assert [m.step for m in lowest] == list(range(TRIALS))
+        assert lowest[-1].value == study.best().value
+
+
+def test_the_same_command_again_changes_nothing(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = home / "mlruns"
+    before = {path.name for path in (store / "nodes").iterdir()}
+    words = [*words_of(home), f"models=[{','.join(CHOSEN)}]", f"trials={TRIALS}"]
+    assert door(tune_models, [*words, "dry_run=true"], tune_models.ALIASES) == 0
+    for model, line in zip(CHOSEN, capsys.readouterr().out.splitlines(), strict=True):
+        assert line.startswith(f"mediocre-0.2/{model}/")
+        assert line.endswith(": 4 of 4 trials have ended")
+    assert door(tune_models, words, tune_models.ALIASES) == 0
+    assert "; the default has " in capsys.readouterr().out
+    assert {path.name for path in (store / "nodes").iterdir()} == before
+    assert studies_of(home)[CHOSEN[0]].spent == TRIALS
+    with sqlite3.connect(store / "mlflow.db") as database:
+        [(found,)] = database.execute("select count(*) from tags where key = 'trial'")
+    assert found == len(CHOSEN) * TRIALS
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("settings: [", "it is no YAML"),
+        ("just text", "it holds no settings"),
+        ({"trial": None}, "it must hold dataset, model, .* settings and nothing else, see 'trial'"),
+        ({"model": "wsbc"}, "it is about wsbc on mediocre-0.2"),
+        ({"data_key": "0" * 32}, "it was tuned on other data than these settings make"),
+        ({"settings.hiden": [3]}, "Unknown key 'settings.hiden'; valid keys there: hidden"),
+        ({"settings.epochs": None}, "settings lacks epochs"),
+        ({"settings.epochs": 0}, "settings: epochs, batch and every hidden width must be"),
+        ({"settings.batch": "many"}, "settings.batch='many': Input should be a valid integer"),
+        ({"settings.batch": True}, "settings.batch=true: Input should be no boolean"),
+    ],
+)
+def test_a_wrong_file_is_named_with_its_remedy(
+    change: Any, says: str, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(home / "conf", tmp_path / "conf")
+    path = tmp_path / "conf" / "mediocre-0.2" / "behaviour_policy.yaml"
+    if isinstance(change, dict):
+        content = yaml.safe_load(path.read_text())
+        for place, value in change.items():
+            *groups, name = place.split(".")
+            group = content[groups[0]] if groups else content
+            group.pop(name, None)
+            group |= {} if value is None else {name: value}
+        path.write_text(yaml.safe_dump(content))
+    else:
+        path.write_text(change)
+    folder = f"models.folder={tmp_path}/conf"
+    with pytest.raises(SettingsError, match=says) as caught:
+        benchmark_plan(settings_of(home, folder))
+    message = str(caught.value)
+    assert message.startswith(f"{path} cannot be used (")
+    assert message.endswith(
+        "); make it anew with 'python -m flows.tune_models datasets=[mediocre-0.2] "
+        "models=[behaviour_policy]', or use models=default."
+    )
+    assert "\n" not in message
+    words = [*words_of(home), "algorithms=[lion]", "models=tuned", folder]
+    assert door(full_benchmark, words, dict(ALIASES)) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_other_data_is_not_what_was_tuned_on(home: Path) -> None:
+    with pytest.raises(SettingsError, match="tuned on other data"):
+        benchmark_plan(settings_of(home, "data.seed=1"))
+
+
+def test_nothing_tuned_at_all_is_an_error(home: Path, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="no file for behaviour_policy, recurrent_ensemble on"):
+        benchmark_plan(settings_of(home, f"models.folder={tmp_path}"))
+    with pytest.raises(SettingsError, match=r"mediocre-0\.4; make them with 'python -m flows"):
+        benchmark_plan(settings_of(home, "datasets=[mediocre-0.4]"))
+
+
+def test_a_setting_that_a_tuned_file_would_override_is_refused(home: Path) -> None:
+    word = "model.recurrent_ensemble.updates=30"
+    with pytest.raises(SettingsError, match=f"'{word}' has no effect with models=tuned"):
+        benchmark_plan(settings_of(home, word))
+    free = settings_of(home, "algorithms=[moose]", "model.action_vae.epochs=3")
+    assert fits(free)["action_vae"].config["settings"]["epochs"] == 3
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("models=[lion]", "Unknown model 'lion'; valid ones are action_vae, behaviour_policy"),
+        ("models=tuned", "Unknown model 'tuned'"),
+        ("models=[]", r"models=\[\] selects nothing"),
+        ("trials=0", "tuning.trials=0: .* greater than or equal to 1"),
+        ("data.steps=60", r"data.steps=60 is less than warm_up \+ horizon = 80"),
+    ],
+)
+def test_wrong_words_end_in_one_sentence(
+    word: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*WORDS, f"store={tmp_path}/left", word]
+    assert door(tune_models, words, tune_models.ALIASES) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert re.search(says, line), line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pruned_failed_and_reused_trials_are_runs_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    log, place = tmp_path / "log", tmp_path / "mlruns"
+    log.mkdir()
+    place.mkdir()
+    (log / "fail-bad").touch()
+    study = toy_study(place, log)
+    study.recover()
+    for x, mood in ((0.31, "good"), (0.5, "bad"), (0.31, "good"), (0.4, "good"), (0.45, "good")):
+        study._study.enqueue_trial({"x": x, "mood": mood})
+    study._study.enqueue_trial({"x": 0.95, "mood": "good"})
+
+    ledger = TrialLedger(place)
+    ledger.open_sweep("first")
+    (log / "interrupt").touch()
+    assert search_toy(place, log, 7, ledger=ledger).exit_code == 130
+    ledger.close_sweep("KILLED")
+    again = TrialLedger(place)
+    parent = again.open_sweep("first")
+    assert search_toy(place, log, 7, ledger=again).exit_code == 0
+    again.close_sweep("FINISHED")
+
+    trials = toy_study(place, log).trials()
+    runs = again.client.search_runs([again.experiment], f"tags.study = '{study.name}'")
+    by_number = {int(run.data.tags["trial"]): run for run in runs}
+    assert sorted(by_number) == [trial.number for trial in trials]
+    assert len(runs) == len(trials) == 8
+    states = {number: run.data.tags["state"] for number, run in by_number.items()}
+    assert states[0] == "INTERRUPTED"
+    assert sorted(states.values()) == ["COMPLETE"] * 5 + ["FAIL", "INTERRUPTED", "PRUNED"]
+    status = {"COMPLETE": "FINISHED", "FAIL": "FAILED", "PRUNED": "KILLED", "INTERRUPTED": "KILLED"}
+    roles: dict[str, list[str]] = {}
+    for number, run in by_number.items():
+        tags = run.data.tags
+        assert tags["mlflow.parentRunId"] == parent
+        assert run.info.status == status[tags["state"]]
+        roles.setdefault(tags["state"], []).append(tags["role"])
+        trial = trials[number]
+        if trial.value is not None and tags["state"] == "COMPLETE":
+            assert run.data.metrics["validation_loss"] == trial.value
+        if tags["state"] == "FAIL":
+            assert tags["error"] == "ValueError: this toy is in a bad mood"
+        if tags["state"] == "PRUNED":
+            name = "model/validation_loss_on_the_way"
+            history = again.client.get_metric_history(run.info.run_id, name)
+            assert [(m.step, m.value) for m in history] == list(trial.intermediate_values.items())
+    # The second 0.31 found the artifact of the first, which has the run of the node.
+    assert sorted(roles["COMPLETE"]) == ["node"] * 4 + ["trial"]

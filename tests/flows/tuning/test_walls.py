@@ -1,0 +1,93 @@
+"""A search never comes near a real system: not in what it loads, not in what it does."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from components.environments import industrial_benchmark
+from flows import tune_models
+from flows.benchmark import data_plan
+from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import NullLedger, run_plan
+from flows.pipeline.store import ArtifactStore
+from flows.settings import load_settings
+from flows.tuning.ledger import NullTrialLedger
+from flows.tuning.search import search
+from flows.tuning.study import Study, open_journal
+
+FORBIDDEN = (
+    "components.environments", "components.evaluation", "components.algorithms",
+    "gymnasium", "mujoco",
+)  # fmt: skip
+
+
+def test_search_code_loads_no_environment_evaluation_or_algorithm() -> None:
+    script = (
+        "import pkgutil, sys, importlib, flows.fitting, flows.tuning\n"
+        "for module in pkgutil.iter_modules(flows.tuning.__path__, 'flows.tuning.'):\n"
+        "    importlib.import_module(module.name)\n"
+        "print('flows.tuning.search' in sys.modules, 'components.models' in sys.modules)\n"
+        f"print([m for m in sys.modules if m.startswith({FORBIDDEN!r})])"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[3],
+        env=os.environ,
+    )  # fmt: skip
+    assert done.stdout.splitlines() == ["True True", "[]"]
+
+
+def test_no_environment_is_stepped_during_a_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = load_settings(
+        [
+            "profile=smoke", "data.trajectories=4", "data.steps=90", f"store={tmp_path}",
+            "tuning.models=[behaviour_policy,recurrent_ensemble]",
+        ]
+    )  # fmt: skip
+    store = ArtifactStore(tmp_path)
+
+    def generate() -> int:
+        return run_plan(
+            data_plan(settings), store, NullLedger(), Display(), executor=SerialExecutor()
+        ).exit_code
+
+    stepped = []
+
+    def refuse(*args: object, **kwargs: object) -> None:
+        stepped.append(args)
+        raise AssertionError("a real system was touched")
+
+    kinds = [
+        kind
+        for module in list(sys.modules.values())
+        if getattr(module, "__name__", "").startswith("components.environments")
+        for kind in vars(module).values()
+        if isinstance(kind, type) and (hasattr(kind, "step") or hasattr(kind, "reset"))
+    ]
+    assert industrial_benchmark.IndustrialBenchmark in kinds
+
+    with monkeypatch.context() as patched:
+        for kind in kinds:
+            for name in {"step", "reset"} & set(vars(kind)):
+                patched.setattr(kind, name, refuse)
+        # The trap works: data generation falls into it.
+        assert generate() == 1
+        assert stepped
+    assert generate() == 0
+
+    stepped.clear()
+    for kind in kinds:
+        for name in {"step", "reset"} & set(vars(kind)):
+            monkeypatch.setattr(kind, name, refuse)
+    journal = open_journal(tmp_path / "journal.log")
+    studies = [Study(subject, journal) for subject in tune_models.subjects(settings)]
+    outcome = search(studies, 2, store, NullTrialLedger(), SerialExecutor(), lambda text: None)
+    assert outcome.exit_code == 0
+    assert [study.spent for study in studies] == [2, 2]
+    assert stepped == []
