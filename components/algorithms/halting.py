@@ -5,7 +5,7 @@ ensemble disagree by more than a threshold the next state is unknown, and the pr
 an absorbing state that pays a little less than the worst logged reward, for ever.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,7 +15,15 @@ from torch import Tensor, nn
 from components.data.lanes import LaneData
 from components.models.rollout import Prediction, VirtualMachine
 
-__all__ = ["Detector", "Halted", "Trajectories", "disagreement", "live_samples", "with_halt"]
+__all__ = [
+    "Detector",
+    "Halted",
+    "PessimisticMachine",
+    "Trajectories",
+    "disagreement",
+    "live_samples",
+    "with_halt",
+]
 
 CHUNK = 4096  # logged transitions of all lanes judged at once, which limits the memory
 
@@ -160,12 +168,11 @@ class Trajectories:
         lanes, self._batch, _ = begin.shape
         self._lane = torch.arange(lanes, device=begin.device)[:, None]
 
-    def last(self) -> Tensor:
-        """Observations ``[L, B, H * F]`` after the last step."""
-        return self._table[..., : self._seen]
-
     def observations(self, index: Tensor) -> Tensor:
-        """Observations ``[L, N, H * F]`` before steps; number ``t * B + b`` is trajectory b's t."""
+        """Observations ``[L, N, H * F]``; number ``t * B + b`` is what trajectory b shows at t.
+
+        Times go from 0, before the first step, to T, after the last one.
+        """
         per_trajectory = self._table.shape[-1] // self._width
         trajectory = self._lane * self._batch + index % self._batch
         rows = trajectory * per_trajectory + self.steps - index // self._batch
@@ -174,3 +181,51 @@ class Trajectories:
             (self._width, 1),
         )
         return windows.index_select(0, rows.flatten()).view(*index.shape, self._seen)
+
+
+class PessimisticMachine:
+    """The learned machine of L lanes with HALT in it.
+
+    Args:
+        machine: The learned machine.
+        detector: Knows what is unknown to it.
+        followed: ``[T, L, B]`` the members that trajectories follow.
+        halt_reward: ``[L]`` per step in HALT.
+        discount: gamma.
+    """
+
+    def __init__(
+        self,
+        machine: VirtualMachine,
+        detector: Detector,
+        followed: Tensor,
+        halt_reward: Tensor,
+        discount: float,
+    ) -> None:
+        self._machine, self._detector, self._followed = machine, detector, followed
+        self._halt_reward, self._discount = halt_reward, discount
+
+    @torch.no_grad()
+    def roll_out(
+        self, begin: Tensor, history: Tensor, act: Callable[[Tensor], Tensor]
+    ) -> tuple[Trajectories, Halted]:
+        """Let policies act for T steps; halted trajectories go on, but do not count any more.
+
+        Args:
+            begin: ``[L, B, H * F]`` observations at the start.
+            history: ``[L, B, H, F]`` the same as raw frames.
+            act: See :meth:`~components.models.rollout.VirtualMachine.unroll`.
+        """
+        frames, rewards, doubts = [], [], []
+        for step in self._machine.unroll(history, act, len(self._followed), self._followed):
+            frames.append(step.frames)
+            rewards.append(step.rewards)
+            doubts.append(self._detector(step.prediction))
+        ended = with_halt(
+            torch.stack(rewards),
+            torch.stack(doubts),
+            self._detector.threshold,
+            self._halt_reward,
+            self._discount,
+        )
+        return Trajectories(begin, frames), ended

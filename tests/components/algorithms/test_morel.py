@@ -164,7 +164,10 @@ def test_the_policy_moves_by_its_natural_gradient() -> None:
     drawn, rolled = rolled_out(made)
     live = live_samples(rolled.ended.alive.transpose(0, 1).flatten(1), drawn["order"])
     before = [p.detach().clone() for p in made._actor.vector()]
-    noise = floats(rolled.noise)
+    # sample t * B + b is trajectory b's step t
+    noise = np.stack(
+        [floats(drawn["noise"])[:, n // 6, n % 6] for n in range(HORIZON * 2 * MEMBERS)], axis=1
+    )
     weight, bias, last_weight, last_bias, log_std = (floats(p) for p in before)
     made._climb(rolled, live)
     moved = [
@@ -326,7 +329,8 @@ def test_the_baseline_knows_the_horizon_of_a_constant_reward() -> None:
 def shifts(made: Any) -> torch.Tensor:
     """Normalised shifts at the end of the trajectories of a later update."""
     _, rolled = rolled_out(made, 1000)
-    return rolled.states.last()[0, :, 3]
+    last = torch.arange(8 * 100, 9 * 100)[None]
+    return rolled.states.observations(last)[0, :, 3]
 
 
 def test_it_finds_the_known_optimum_and_halt_holds_it_in_the_known() -> None:
