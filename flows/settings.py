@@ -10,20 +10,30 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
 from components.data.catalogue import DatasetSpec
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
+from flows.sections import (
+    AggregationSettings,
+    DataSettings,
+    EvaluationSettings,
+    ModelsSettings,
+    RunnerSettings,
+    Strict,
+    TrainingSettings,
+    TuningSettings,
+)
 
 __all__ = ["ALIASES", "CONF", "Settings", "SettingsError", "load_settings"]
 
@@ -33,64 +43,7 @@ ALIASES: Mapping[str, str] = {"models": "models.source"}
 """Short keys of the command line and what they stand for; a door may have others."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DataSettings(_Strict):
-    """Size and seed of the generated datasets."""
-
-    seed: int = Field(ge=0)
-    trajectories: int = Field(ge=2)
-    steps: int = Field(ge=1)
-
-
-class TrainingSettings(_Strict):
-    """What training keeps."""
-
-    snapshots: int = Field(ge=1)
-
-
-class EvaluationSettings(_Strict):
-    """The evaluation protocol; the discount belongs to the dataset."""
-
-    trajectories: int = Field(ge=1)
-    horizon: int = Field(ge=1)
-    lambda_step: float = Field(ge=0.01, le=1)
-
-
-class AggregationSettings(_Strict):
-    """Which policies enter the table."""
-
-    pool_fraction: float = Field(gt=0, le=1)
-
-
-class RunnerSettings(_Strict):
-    """How to run; changes no result."""
-
-    executor: Literal["ray", "serial"]
-    cpus: int | None = Field(ge=1)
-    threads: int = Field(ge=1)
-    device: Literal["auto", "cpu", "cuda"]
-    stack: Literal["pair", "algorithm"]
-
-
-class ModelsSettings(_Strict):
-    """Which models policies are trained with."""
-
-    source: Literal["default", "tuned"]
-    per_seed: bool
-    folder: Path
-
-
-class TuningSettings(_Strict):
-    """What a hyperparameter search searches, and how long."""
-
-    models: tuple[str, ...]
-    trials: int = Field(ge=1)
-
-
-class Settings(_Strict):
+class Settings(Strict):
     """A complete, checked configuration.
 
     Attributes:
