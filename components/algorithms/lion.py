@@ -26,6 +26,7 @@ from components.algorithms.base import Ingredients, StackedLearner, descend
 from components.algorithms.virtual_returns import VirtualReturns
 from components.models.rollout import discounted_sum
 from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
+from components.networks.deployment import KINDS
 from components.networks.policy import LAMBDA_SCALING, Policy, PolicyCard
 from components.networks.training import adam
 
@@ -103,11 +104,7 @@ class Learner(StackedLearner):
 
     def _behaviour_act(self, observations: Tensor) -> Tensor:
         """Actions of the clones, differentiable in the observations."""
-        x = observations
-        for weight, bias in self._behaviour.layers[:-1]:
-            x = torch.relu(torch.baddbmm(bias, x, weight))
-        weight, bias = self._behaviour.layers[-1]
-        return torch.tanh(torch.baddbmm(bias, x, weight))
+        return KINDS["tanh"](self._behaviour.networks, observations, None, 0.0)
 
     # -- losses -----------------------------------------------------------------------------
 

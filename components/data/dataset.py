@@ -14,7 +14,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -193,6 +193,20 @@ class OfflineDataset:
         """`[N]` row of the first frame of each transition's episode."""
         starts = self.episode_starts[:-1] + np.arange(self.episodes, dtype=np.int64)
         return np.repeat(starts, np.diff(self.episode_starts))
+
+    def with_history(self, frames: int) -> "OfflineDataset":
+        """The same log with observations of fewer frames; 0 leaves them as they are.
+
+        Raises:
+            ValueError: more frames than an observation has.
+        """
+        card = self.card
+        if frames > card.history:
+            raise ValueError(
+                f"history is {frames}, but observations of {card.name} have {card.history} "
+                "frames; give at most these."
+            )
+        return replace(self, card=replace(card, history=frames or card.history))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays by file name, in the order of the digest."""

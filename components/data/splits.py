@@ -15,6 +15,10 @@ class EpisodeSplit:
     train: range
     held_out: range
 
+    def trained_transitions(self, dataset: OfflineDataset) -> int:
+        """Transitions that are trained on: the dataset's first so many."""
+        return int(dataset.episode_starts[self.train.stop])
+
 
 def split_episodes(dataset: OfflineDataset, fraction: float = 0.1) -> EpisodeSplit:
     """Hold out the last episodes.

@@ -11,7 +11,7 @@ the network alone.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -182,18 +182,10 @@ def fit_action_vae(
     Raises:
         ValueError: If it shall read more frames than an observation has.
     """
-    card = dataset.card
-    history = config.history or card.history
-    if history > card.history:
-        raise ValueError(
-            f"history is {history}, but observations of {card.name} have {card.history} frames; "
-            "give at most these."
-        )
-    episodes = split_episodes(dataset, config.holdout).train.stop
-    trained_on = int(dataset.episode_starts[episodes])  # transitions, the first ones
-    scaling = Normaliser.fit(np.asarray(dataset.frames[: trained_on + episodes]))
-    shorter = replace(dataset, card=replace(card, history=history))
-    data = LaneData([shorter], device, scaling=scaling)
+    split = split_episodes(dataset, config.holdout)
+    trained_on = split.trained_transitions(dataset)
+    scaling = Normaliser.fit(np.asarray(dataset.frames[: trained_on + split.train.stop]))
+    data = LaneData([dataset.with_history(config.history)], device, scaling=scaling)
     network = ConditionalVAE([key], data.observation_width, data.action_width, config.hidden).to(
         device
     )
@@ -244,13 +236,13 @@ def fit_action_vae(
     per_epoch = max(1, trained_on // config.batch)
     curves = fit.run(
         lambda net: judge(net)[0],
-        [card.name],
+        [dataset.card.name],
         updates=config.epochs * per_epoch,
         validate_every=per_epoch,
         checkpoint=checkpoint,
         monitor=monitor,
     )
     loss, error, divergence = judge(fit.best).flatten().tolist()
-    model = ActionVAE(fit.best.cpu().requires_grad_(False), scaling, history, config.hidden)
+    model = ActionVAE(fit.best.cpu().requires_grad_(False), scaling, data.history, config.hidden)
     metrics = {"validation_reconstruction_error": error, "validation_divergence": divergence}
     return Fit(model, loss, metrics, curves.of_lane(0))

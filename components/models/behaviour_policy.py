@@ -73,10 +73,7 @@ def fit_behaviour_policies(
         Per lane a policy and its held-out mean squared error; the learning curves.
     """
     data = LaneData(datasets, device)
-    splits = [split_episodes(d, config.holdout) for d in datasets]
-    trained_on = [
-        int(d.episode_starts[s.train.stop]) for d, s in zip(datasets, splits, strict=True)
-    ]
+    trained_on = [split_episodes(d, config.holdout).trained_transitions(d) for d in datasets]
     shortest = min(count - trained for count, trained in zip(data.counts, trained_on, strict=True))
     held_out = torch.tensor(trained_on, device=device)[:, None] + torch.arange(
         shortest, device=device

@@ -86,7 +86,7 @@ class MLPEnsembleConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DeterministicEnsembleConfig(MLPEnsembleConfig):
-    """MOOSE's transition models (thesis 5.1, details.md 1.8): 400-300, weights normalised.
+    """MOOSE's transition models (thesis 5.1.2): 400-300, weights normalised.
 
     The thesis trains for 50 epochs at a constant 1e-4, which takes three times as long to a
     slightly higher held-out error (0.1332 against 0.1321 on mediocre-0.4).

@@ -18,7 +18,7 @@ members too keep the state of their lowest held-out error.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -61,14 +61,10 @@ class _Transitions:
                 f"One-step ensembles need frames of {(*INPUTS, *TARGETS)}, but {card.name} logs "
                 f"{tuple(card.frame_features)}."
             )
-        if config.history > card.history:
-            raise ValueError(
-                f"history is {config.history}, but observations of {card.name} have "
-                f"{card.history} frames; give at most these."
-            )
-        self.history = config.history or card.history
+        shorter = dataset.with_history(config.history)
+        self.history = shorter.card.history
         split = split_episodes(dataset, config.holdout)
-        self.trained = int(dataset.episode_starts[split.train.stop])  # transitions, the first ones
+        self.trained = split.trained_transitions(dataset)
         self.held_out = torch.arange(self.trained, dataset.transitions, device=device)
         seen = np.asarray(dataset.frames[: self.trained + split.train.stop])
         self.scaling = Normaliser.fit(seen)
@@ -81,7 +77,6 @@ class _Transitions:
         }
         self.moments = [moments[form] for form in config.forms]
         lanes = len(config.forms) * config.members
-        shorter = replace(dataset, card=replace(card, history=self.history))
         self._data = LaneData([shorter] * lanes, device, scaling=self.scaling)
         stacked = Normaliser.stack([m for m in self.moments for _ in range(config.members)]).to(
             device

@@ -17,7 +17,7 @@ from flows.pipeline.mlflow_writes import log_batches
 from flows.pipeline.plan import Node
 from flows.pipeline.run_content import flat
 
-__all__ = ["NullTrialLedger", "TrialLedger", "TrialRecord", "Trials"]
+__all__ = ["TrialLedger", "TrialRecord", "Trials"]
 
 _STATUS = {"COMPLETE": "FINISHED", "PRUNED": "KILLED", "FAIL": "FAILED", "INTERRUPTED": "KILLED"}
 
@@ -63,17 +63,6 @@ class Trials(Protocol):
 
     def log_trial(self, trial: TrialRecord) -> None:
         """Remembers a trial that has ended."""
-
-
-class NullTrialLedger:
-    """Remembers nothing."""
-
-    def recorded(self, study: str) -> set[int]:
-        """None."""
-        return set()
-
-    def log_trial(self, trial: TrialRecord) -> None:
-        """Does nothing."""
 
 
 class TrialLedger(MlflowLedger):

@@ -39,8 +39,10 @@ def test_lane_of_a_stack_equals_the_lane_alone(name: str) -> None:
     run(alone, UPDATES)
     for key, tensor in networks(lane_state(alone, 0)).items():
         torch.testing.assert_close(tensor, moved[key], **CLOSE)
-    # The tolerance means something only where training has moved the weights much further.
-    assert max(float((moved[key] - fresh[key]).abs().max()) for key in fresh) > 0.05
+    # The tolerance means something only where training has moved the weights much further. What
+    # merely fills up, a ring of transitions or fitness from minus infinity on, shows no learning.
+    learned = [k for k, v in fresh.items() if v.isfinite().all() and not k.startswith("buffer.")]
+    assert max(float((moved[key] - fresh[key]).abs().max()) for key in learned) > 0.05
 
 
 @every_algorithm

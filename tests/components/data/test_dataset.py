@@ -9,6 +9,7 @@ import pytest
 
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from tests.components.synthetic import make_log
 
 SPEC = dataclasses.replace(DATASETS["mediocre-0.4"], trajectories=3, steps=120)
 
@@ -142,3 +143,12 @@ def test_cards_that_cannot_be_read_say_why(
     path.write_text("{" if change is None else json.dumps({**json.loads(text), **change}))
     with pytest.raises(ValueError, match=message):
         OfflineDataset.open(folder)
+
+
+def test_observations_may_be_shortened_but_not_lengthened() -> None:
+    log = make_log(history=3)
+    assert log.with_history(2).card.history == 2
+    assert log.with_history(0).card.history == 3
+    assert log.with_history(2).frames is log.frames
+    with pytest.raises(ValueError, match="history is 4, but observations of toy have 3 frames"):
+        log.with_history(4)

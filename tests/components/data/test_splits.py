@@ -23,6 +23,7 @@ def test_last_episodes_are_held_out(
     split = split_episodes(dataset, fraction)
     assert split.train == range(boundary)
     assert split.held_out == range(boundary, 10)
+    assert split.trained_transitions(dataset) == 30 * boundary
 
 
 def test_impossible_splits_are_refused(dataset: OfflineDataset) -> None:

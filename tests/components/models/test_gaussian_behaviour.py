@@ -207,6 +207,6 @@ def test_several_clones_stand_side_by_side() -> None:
 
 
 def test_defaults_follow_the_published_order_of_exploration() -> None:
-    assert GaussianBehaviourConfig().action_clip == 0.9  # details.md 1.10
+    assert GaussianBehaviourConfig().action_clip == 0.9
     with pytest.raises(ValueError, match="action_clip"):
         dataclasses.replace(GaussianBehaviourConfig(), action_clip=0.0)

@@ -15,9 +15,9 @@ from flows.pipeline.progress import Display
 from flows.pipeline.runner import NullLedger, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.settings import load_settings
-from flows.tuning.ledger import NullTrialLedger
 from flows.tuning.search import search
 from flows.tuning.study import Study, open_journal
+from tests.flows.tuning.toys import NullTrialLedger
 
 FORBIDDEN = (
     "components.environments", "components.evaluation", "components.algorithms",

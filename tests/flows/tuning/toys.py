@@ -12,7 +12,7 @@ from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
-from flows.tuning.ledger import NullTrialLedger
+from flows.tuning.ledger import TrialRecord
 from flows.tuning.search import Outcome, search
 from flows.tuning.space import Choice, Range, Space
 from flows.tuning.study import Study, Subject, open_journal
@@ -91,6 +91,17 @@ def subject(log: Path, **start: Any) -> Subject:
         )
 
     return Subject("made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node)
+
+
+class NullTrialLedger:
+    """Remembers nothing."""
+
+    def recorded(self, study: str) -> set[int]:
+        """None."""
+        return set()
+
+    def log_trial(self, trial: TrialRecord) -> None:
+        """Does nothing."""
 
 
 def study(home: Path, log: Path, **start: Any) -> Study:
