@@ -165,11 +165,14 @@ class ArtifactStore:
         return frozenset(key for key in work.serves if not self.path(key).is_dir())
 
     def works(self) -> list[Work]:
-        """All readable work folders."""
+        """All readable work folders; others may come and go meanwhile."""
         found = []
         for folder in sorted(self.work.iterdir()) if self.work.is_dir() else ():
             members = None if folder.name.startswith(".") else read_json(folder / _MEMBERS)
-            if isinstance(members, dict):
+            # Another process may remove its folder between any two of these lines.
+            with suppress(FileNotFoundError):
+                if not isinstance(members, dict):
+                    continue
                 begun = any(entry.name not in _OURS for entry in folder.iterdir())
                 found.append(
                     Work(folder, tuple(members["members"]), frozenset(members["serves"]), begun)

@@ -61,7 +61,6 @@ class _Call:
     study: Study
     node: Node
     trials: list[Trial]
-    hopeless: bool = False
 
 
 def search(
@@ -218,7 +217,9 @@ class _Search:
         """Pass losses on the way to the studies, and stop what is hopeless."""
         for group, call in self.running.items():
             self._report(group, call)
-            if call.hopeless and not self.store.stop_file(group).exists():
+            if self.store.stop_file(group).exists():
+                continue
+            if any(call.study.hopeless(trial) for trial in call.trials):
                 # First in the study: a kill in between shall not begin the trial once more.
                 for trial in call.trials:
                     call.study.give_up(trial)
@@ -227,7 +228,7 @@ class _Search:
     def _report(self, group: str, call: _Call) -> None:
         for fraction, loss in self.store.losses(group):
             for trial in call.trials:
-                call.hopeless |= call.study.report(trial, fraction, loss)
+                call.study.report(trial, fraction, loss)
 
     def _sign_of_life(self) -> None:
         if time.monotonic() - self.heard < _SIGN_OF_LIFE or not self.running:

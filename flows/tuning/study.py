@@ -212,22 +212,24 @@ class Study:
         """A new trial, or the next one in line."""
         return self._study.ask(self._space)
 
-    def report(self, trial: Trial, fraction: float, loss: float) -> bool:
+    def report(self, trial: Trial, fraction: float, loss: float) -> None:
         """Note a held-out loss on the way.
 
         Args:
             trial: A running trial.
             fraction: Part of the budget that is spent.
             loss: There.
-
-        Returns:
-            Whether the trial is hopeless: worse than the median of the others at this point.
         """
         percent = int(100 * fraction + 1e-9)
-        if percent <= self._reported.get(trial.number, 0):
-            return False
-        self._reported[trial.number] = percent
-        trial.report(loss if math.isfinite(loss) else math.nan, percent)
+        if percent > self._reported.get(trial.number, 0):
+            self._reported[trial.number] = percent
+            trial.report(loss if math.isfinite(loss) else math.nan, percent)
+
+    def hopeless(self, trial: Trial) -> bool:
+        """Whether a running trial is worse than the median of the others at the same point.
+
+        The answer may change without a new loss of its own: with every other trial that ends.
+        """
         return trial.should_prune()
 
     def give_up(self, trial: Trial) -> None:

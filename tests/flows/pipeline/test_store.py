@@ -4,6 +4,7 @@ import errno
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -75,6 +76,21 @@ def test_work_is_found_again_by_what_it_still_has_to_do(store: ArtifactStore) ->
     assert again.path == work.path
     assert again.members == (A, B, C)
     assert again.resumed
+
+
+def test_work_that_another_process_removes_meanwhile_is_passed_over(
+    store: ArtifactStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone, kept = store.open_work([A]), store.open_work([B])
+
+    def read_and_lose(path: Path) -> Any:
+        content = read_json(path)
+        if path.parent == gone.path:
+            store.discard(gone)
+        return content
+
+    monkeypatch.setattr("flows.pipeline.store.read_json", read_and_lose)
+    assert store.works() == [kept]
 
 
 def test_part_of_begun_work_continues_on_a_copy(store: ArtifactStore) -> None:

@@ -82,6 +82,19 @@ def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) ->
     assert counted(log, f"step-{node.key}") == done
 
 
+def test_a_trial_is_judged_anew_with_every_other_that_ends(home: Path, log: Path) -> None:
+    made = study(home, log)
+    made.recover()
+    others = [made.ask() for _ in range(_COMPARED_FROM)]
+    bad = made.ask()
+    for trial in [*others, bad]:
+        made.report(trial, 0.65, 9.0 if trial is bad else 1.0)
+    for trial in others:
+        assert not made.hopeless(bad)  # too few to compare with
+        made.complete(trial, 1.0)
+    assert made.hopeless(bad)  # without a new loss of its own
+
+
 def test_a_trial_that_was_found_hopeless_stays_so_after_a_kill(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
