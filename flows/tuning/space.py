@@ -203,7 +203,7 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
             "batch": Choice((128, 256, 512)),
             "learning_rate": Range(1e-3, 2e-2),
             "warm_fraction": Range(0.0, 0.4, log=False),
-            "weight_decay": RangeOrZero(1e-7, 1e-4),
+            "weight_decay": RangeOrZero(1e-6, 1e-2),
             "clip_norm": Range(0.1, 10.0),
         },
     }
