@@ -20,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
-from components.data.catalogue import DatasetSpec
+from components.data.industrial import IndustrialSpec
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
@@ -72,7 +72,7 @@ class Settings(Strict):
     model_words: dict[str, str]
     store: Path
     dry_run: bool
-    dataset: dict[str, DatasetSpec]
+    dataset: dict[str, IndustrialSpec]
     algorithm: dict[str, Any]
     model: dict[str, Any]
 
@@ -208,7 +208,7 @@ def _check(config: DictConfig, model_words: Mapping[str, str]) -> Settings:
         data = build_config(DataSettings, "data", values["data"])
         sizes = {"trajectories": data.trajectories, "steps": data.steps}
         values["dataset"] = {
-            name: build_config(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
+            name: build_config(IndustrialSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
             for name, fields in values["dataset"].items()
         }
         for group, known in (("algorithm", _algorithm_configs()), ("model", _model_configs())):

@@ -157,9 +157,7 @@ class Learner(ActorCritic):
 
     def __init__(self, config: Config, parts: Ingredients) -> None:
         self._data = data = parts.data
-        super().__init__(
-            config, parts.keys, data.observation_width, data.action_width, data.device
-        )
+        super().__init__(config, parts.keys, data.observation_width, data.action_width, data.device)
         draws = {"row": data.row_draw(config.batch)}
         self._streams = LaneStreams(parts.keys, draws, data.device)
 
