@@ -6,6 +6,7 @@ first reward with weight 1 (thesis section 5.1.2).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -81,7 +82,7 @@ def log_returns(
     Raises:
         ValueError: no episode has a whole window.
     """
-    bounds = zip(episode_starts[:-1], episode_starts[1:], strict=True)
+    bounds = pairwise(episode_starts)
     windows = list(_windows(rewards, terminated, bounds, discount, steps))
     if not windows:
         raise ValueError(

@@ -2,8 +2,7 @@
 
 Every few thousand steps the current policies live whole episodes without noise; the policy with the
 highest mean return so far is kept. That choice uses the real system, as it may: an expert is part
-of how data are made. It flatters the kept policy a little, so :mod:`components.data.experts.shipped`
-judges the chosen one anew.
+of how data are made. It flatters the kept policy, so whoever chooses one judges it anew.
 """
 
 from collections.abc import Callable, Sequence

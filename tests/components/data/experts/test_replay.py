@@ -69,9 +69,7 @@ def test_one_lane_can_go_on_without_the_other(tmp_path: Path) -> None:
     alone = Replay(1, 8, 3, 2, CPU, files[1:])
     alone.restore(STEPS)
     index = torch.tensor([[0, 4]])
-    assert torch.equal(
-        alone.batch(index).actions[0], whole.batch(index.expand(2, 2)).actions[1]
-    )
+    assert torch.equal(alone.batch(index).actions[0], whole.batch(index.expand(2, 2)).actions[1])
 
 
 def test_a_file_that_is_too_short_is_named(tmp_path: Path) -> None:

@@ -113,9 +113,7 @@ def test_rewards_after_a_fall_are_nothing_and_the_falls_own_one_counts() -> None
     lived = [2, 5, 8]
     for n in range(3):
         np.testing.assert_allclose(rewards[n], [paid[n]] * lived[n] + [0.0] * (8 - lived[n]))
-    verdict = judge(
-        act, machine, generators, horizon=8, discount=0.5, return_steps=3
-    )
+    verdict = judge(act, machine, generators, horizon=8, discount=0.5, return_steps=3)
     whole = [p * n for p, n in zip(paid, lived, strict=True)]
     assert verdict.return_mean == pytest.approx(np.mean(whole))
     assert verdict.return_std == pytest.approx(np.std(whole))
