@@ -16,8 +16,9 @@ from components.data.experts.online import ExpertConfig
 from components.data.experts.shipped import Expert, ExpertCard, act_in_double
 from components.data.experts.training import train_experts
 from components.data.returns import RETURN_STEPS
+from components.data.robots import ROBOTS, make_robots
 from components.environments.robot_specs import simulator_version
-from components.environments.robots import Robots, make_batch
+from components.environments.robots import Robots
 from components.networks.policy import Policy
 from components.networks.streams import lane_generator, lane_key
 from flows.fitting import config_object, read_input, write_curves, write_numbers
@@ -31,7 +32,7 @@ _REACHED = "reached.json"
 
 
 def _machine(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
-    return make_batch(config["environment"], copies, physics=config["physics"], threads=threads)
+    return make_robots(config["robot"], copies, config["physics"], threads)
 
 
 def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -80,7 +81,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         )
         card = ExpertCard(
             robot=config["robot"],
-            environment=config["environment"],
+            environment=ROBOTS[config["robot"]],
             physics=config["physics"],
             simulator=simulator_version(),
             seed=best,

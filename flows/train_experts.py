@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from components.data.experts.shipped import SHIPPED, Expert
-from components.data.robots import ROBOTS
 from flows.benchmark import plain, sweep_name
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.runner import Outcome
@@ -56,7 +55,6 @@ def expert_plan(settings: Settings) -> Plan:
     for robot in experts.robots:
         shared = {
             "robot": robot,
-            "environment": ROBOTS[robot],
             "physics": experts.physics,
             "training": plain(asdict(experts.training)),
         }

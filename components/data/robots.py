@@ -20,22 +20,34 @@ from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.experts.shipped import SHIPPED, Expert
 from components.data.returns import RETURN_STEPS, log_returns
 from components.data.robot_collection import Episode, Exploration, collect_episodes
-from components.environments.robot_specs import PHYSICS, simulator_version
-from components.environments.robots import Robots, make_batch
+from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
+from components.environments.robot_specs import (
+    HOPPER,
+    PHYSICS,
+    SWIMMER,
+    WALKER2D,
+    Robot,
+    simulator_version,
+)
+from components.environments.robots import Robots
 from components.networks.streams import lane_key
 
-__all__ = ["ROBOTS", "ROBOT_DATASETS", "RobotSpec", "machine_section"]
+__all__ = ["ROBOTS", "ROBOT_DATASETS", "RobotSpec", "machine_section", "make_robots"]
 
 ROBOTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "swimmer": "proximity/Swimmer-v0",
-        "hopper": "proximity/Hopper-v0",
-        "walker2d": "proximity/Walker2d-v0",
-    }
+    {"swimmer": SWIMMER_ID, "hopper": HOPPER_ID, "walker2d": WALKER2D_ID}
 )
 """Gymnasium ids of the robots."""
 
+_KINDS: Final[Mapping[str, Robot]] = MappingProxyType(
+    {"swimmer": SWIMMER, "hopper": HOPPER, "walker2d": WALKER2D}
+)
 _COPIES: Final = 100  # stepped together; the log does not depend on their number
+
+
+def make_robots(robot: str, copies: int, physics: str, threads: int = 1) -> Robots:
+    """Copies of one of `ROBOTS`, each of which can be started by a generator of its own."""
+    return Robots(_KINDS[robot], copies, physics, threads)
 
 
 @dataclass(frozen=True)
@@ -112,7 +124,7 @@ class RobotSpec:
             ValueError: the expert is damaged or knows another robot.
         """
         expert = self._expert()
-        machine = make_batch(self.environment, _COPIES, **self.environment_parameters)
+        machine = make_robots(self.robot, _COPIES, self.physics)
         if expert.policy.card.features != tuple(machine.frame_features):
             raise ValueError(
                 f"the expert of {expert.card.robot} does not know the frames of "

@@ -13,8 +13,7 @@ from components.data.experts.shipped import Expert
 from components.data.lanes import LaneData
 from components.data.normaliser import Normaliser
 from components.data.robot_collection import Exploration, collect_episodes
-from components.data.robots import ROBOT_DATASETS, RobotSpec
-from components.environments.robots import make_batch
+from components.data.robots import ROBOT_DATASETS, RobotSpec, make_robots
 from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
 from components.networks.policy import Policy
 from tests.components.data.toy_robot import LIMIT, ToyRobot, toy_expert
@@ -28,7 +27,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "hopper").mkdir()
     toy_expert().save(tmp_path / "hopper")
     monkeypatch.setattr(robots, "SHIPPED", tmp_path)
-    monkeypatch.setattr(robots, "make_batch", lambda environment, copies, physics: ToyRobot(copies))
+    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, physics: ToyRobot(copies))
     return tmp_path / "hopper"
 
 
@@ -215,7 +214,7 @@ def test_an_expert_of_another_robot_is_refused(toy: Path, monkeypatch: pytest.Mo
     class Other(ToyRobot):
         frame_features = ("place", "speed", "angle")
 
-    monkeypatch.setattr(robots, "make_batch", lambda environment, copies, physics: Other(copies))
+    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, physics: Other(copies))
     with pytest.raises(ValueError, match="does not know the frames of proximity/Hopper-v0"):
         SPEC.generate(0)
 
@@ -226,7 +225,7 @@ def test_a_missing_expert_is_named(toy: Path) -> None:
 
 
 def test_the_log_of_a_swimmer_can_be_played_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    features = make_batch("proximity/Swimmer-v0", 1).frame_features
+    features = make_robots("swimmer", 1, "v3").frame_features
     toy = toy_expert()
     network = StackedMLP(spawn_generators([5], "swimmer"), (len(features), 6, 2))
     card = dataclasses.replace(toy.policy.card, features=features)
@@ -237,7 +236,7 @@ def test_the_log_of_a_swimmer_can_be_played_again(monkeypatch: pytest.MonkeyPatc
     dataset = RobotSpec("swimmer", "swimmer", transitions=150, steps=60).generate(0)
     assert lengths(dataset).tolist() == [60, 60, 30]
     # the logged actions, played from the logged start, earn the logged rewards
-    machine = make_batch("proximity/Swimmer-v0", 3)
+    machine = make_robots("swimmer", 3, "v3")
     key = lane_key("robot dataset", "swimmer", 0)
     frames = machine.reset([lane_generator(lane_key(key, "start"), n) for n in range(3)])
     rows = dataset.episode_starts[:-1]
