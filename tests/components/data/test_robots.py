@@ -9,13 +9,11 @@ import torch
 
 from components.data import robots
 from components.data.dataset import DatasetCard, OfflineDataset
-from components.data.experts.shipped import Expert
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
 from components.data.robot_collection import Exploration, collect_episodes
 from components.data.robots import ROBOT_DATASETS, RobotSpec, make_robots
-from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
-from components.networks.policy import Policy
+from components.environments.robot_specs import SWIMMER
+from components.networks import lane_generator, lane_key
 from tests.components.data.toy_robot import LIMIT, ToyRobot, toy_expert
 
 SPEC = RobotSpec("toy", "hopper", transitions=3000, steps=120)
@@ -225,13 +223,7 @@ def test_a_missing_expert_is_named(toy: Path) -> None:
 
 
 def test_the_log_of_a_swimmer_can_be_played_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    features = make_robots("swimmer", 1, "v3").frame_features
-    toy = toy_expert()
-    network = StackedMLP(spawn_generators([5], "swimmer"), (len(features), 6, 2))
-    card = dataclasses.replace(toy.policy.card, features=features)
-    scaling = Normaliser(torch.zeros(1, len(features)), torch.ones(1, len(features)))
-    policy = Policy.of_networks(card, {"actor": network.affine()}, scaling)
-    expert = Expert(policy, toy.card)
+    expert = toy_expert(features=SWIMMER.frame_features)
     monkeypatch.setattr(RobotSpec, "_expert", lambda self: expert)
     dataset = RobotSpec("swimmer", "swimmer", transitions=150, steps=60).generate(0)
     assert lengths(dataset).tolist() == [60, 60, 30]

@@ -55,20 +55,20 @@ class ToyRobot:
         return moved.copy(), 1.0 + moved[:, 1] - 0.1 * (actions**2).sum(axis=1)
 
 
-def toy_expert(scale: float = 1.0) -> Expert:
-    """An untrained policy of the toy's widths."""
-    network = StackedMLP(spawn_generators([5], "toy expert"), (3, 7, 2))
+def toy_expert(scale: float = 1.0, features: tuple[str, ...] = FEATURES) -> Expert:
+    """An untrained policy of the toy's widths, or of another robot's with two actions."""
+    network = StackedMLP(spawn_generators([5], "toy expert"), (len(features), 7, 2))
     layers = [(scale * weight, bias) for weight, bias in network.affine()]
     card = PolicyCard(
         algorithm="ddpg",
         dataset="none",
-        features=FEATURES,
+        features=features,
         history=1,
         actions=2,
         takes_lambda=False,
         steps=(40,),
     )
-    as_it_is = Normaliser(torch.zeros(1, 3), torch.ones(1, 3))
+    as_it_is = Normaliser(torch.zeros(1, len(features)), torch.ones(1, len(features)))
     return Expert(
         Policy.of_networks(card, {"actor": layers}, as_it_is),
         ExpertCard(
