@@ -1,4 +1,4 @@
-"""What a search still has to tell the ledger: every trial that ended, also under a killed driver."""
+"""What a search still has to tell the ledger: every trial that ended, whoever saw it end."""
 
 import contextlib
 from collections.abc import Callable, Iterable
