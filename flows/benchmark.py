@@ -59,9 +59,9 @@ class Variant:
     tags: Mapping[str, str] = field(default_factory=dict)
 
 
-def variants(settings: Settings, algorithm: str) -> list[Variant]:
+def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
     """The policies that an algorithm is asked for: one, or one per value of one of its settings."""
-    config = settings.algorithm[algorithm]
+    config = settings.algorithm_on(dataset, algorithm)
     if algorithm not in settings.variants:
         return [Variant(algorithm, config, algorithm)]
     name, chosen = settings.variants[algorithm]
@@ -90,7 +90,14 @@ def _data_node(settings: Settings, name: str) -> Node:
 
 
 def model_node(
-    name: str, model: Any, dataset: str, data: Node, seed: int = 0, *, shared: bool = True
+    name: str,
+    model: Any,
+    dataset: str,
+    data: Node,
+    seed: int = 0,
+    *,
+    shared: bool = True,
+    wanted_by: str = "",
 ) -> Node:
     """The node that fits a model.
 
@@ -101,10 +108,13 @@ def model_node(
         data: The dataset's node.
         seed: Of the fit. Models that all policies of a dataset share have seed 0.
         shared: Whether they do, or else the fit belongs to the policies of this seed.
+        wanted_by: The algorithm that wants other settings than the rest, if one does.
     """
     return Node(
         component="model_fitting",
-        name=f"{name}/{dataset}" + ("" if shared else f"/seed{seed}"),
+        name=f"{name}/{dataset}"
+        + (f"/{wanted_by}" if wanted_by else "")
+        + ("" if shared else f"/seed{seed}"),
         task="flows.fitting:fit_model",
         version=COMPONENTS["model_fitting"],
         config={"model": name, "settings": plain(asdict(model)), "seed": seed},
@@ -250,10 +260,16 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
         judge = choice.configs[dataset, "behaviour_policy"]
         behaviour = model_node("behaviour_policy", judge, dataset, data)
         for algorithm in settings.algorithms:
-            for variant in variants(settings, algorithm):
+            special = settings.models_for(dataset, algorithm)
+            for variant in variants(settings, dataset, algorithm):
                 evaluations = {}
                 for seed in settings.seeds:
-                    inputs = {"dataset": data, **models[seed if own else 0]}
+                    fitted = seed if own else 0
+                    inputs = {"dataset": data, **models[fitted]}
+                    for name, config in special.items():
+                        inputs[name] = model_node(
+                            name, config, dataset, data, fitted, shared=not own, wanted_by=algorithm
+                        )
                     policy = _policy_node(settings, variant, dataset, seed, inputs)
                     evaluations[seed] = _evaluation_node(settings, variant, policy, behaviour)
                 nodes.append(_aggregation_node(settings, variant, dataset, evaluations))

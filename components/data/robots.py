@@ -8,6 +8,7 @@ steps for this task; the thesis says 1,000,000, which are taken.
 Episodes end with a fall, which is terminal, or when their time is up, which is not.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -151,15 +152,18 @@ ROBOT_DATASETS: Final[Mapping[str, RobotSpec]] = MappingProxyType(
 """The three datasets, named like their robots."""
 
 
-def machine_section(machine: Robots) -> dict[str, Any]:
+def machine_section(robot: Robot) -> dict[str, Any]:
     """What is known of a robot without learning: that it is told its action, and nothing else.
 
     Returns:
         `known`: features that follow from the action, as clip(keep * old + scale * action, low,
-        high); `learned`: those to be predicted; `reward`: weights of learned ones in the reward.
+        high); `learned`: those to be predicted; `reward`: weights of learned ones in the reward;
+        of robots that can fall also `healthy`: the ranges of frame features, bounds excluded,
+        within which they stand (None: no bound). Learners look at these only where their authors
+        do, which is MOPO alone.
     """
-    actions, frame = machine.action_features, machine.frame_features
-    return {
+    actions, frame = robot.action_features, robot.frame_features
+    section = {
         "known": {
             "features": list(actions),
             "keep": [0.0] * len(actions),
@@ -170,6 +174,18 @@ def machine_section(machine: Robots) -> dict[str, Any]:
         "learned": [*frame, "reward"],
         "reward": {"reward": 1.0},
     }
+    if robot.health is None:
+        return section
+    height, angle, *others = frame  # what stands upright shows these first
+    state = robot.health.state
+    limits = {height: robot.health.height, angle: (-robot.health.angle, robot.health.angle)}
+    limits |= dict.fromkeys(others, (-state, state))
+    healthy = {
+        name: [end if math.isfinite(end) else None for end in ends]
+        for name, ends in limits.items()
+        if any(map(math.isfinite, ends))
+    }
+    return section | {"healthy": healthy}
 
 
 def _assemble(
@@ -210,7 +226,7 @@ def _assemble(
         history=1,
         frame_features=tuple(machine.frame_features),
         action_features=tuple(machine.action_features),
-        machine=machine_section(machine),
+        machine=machine_section(_KINDS[spec.robot]),
         simulator=simulator_version(),
         return_steps=return_steps,
         first_window_return_mean=float(returns.first.mean()),

@@ -12,7 +12,8 @@ import yaml
 from components.algorithms import ALGORITHMS
 from components.data.industrial import INDUSTRIAL_DATASETS
 from components.models import MODELS
-from flows.settings import CONF, Settings, SettingsError, load_settings
+from flows.composition import CONF
+from flows.settings import Settings, SettingsError, load_settings
 
 ROOT = Path(__file__).parents[2]
 ALL_DATASETS = ", ".join(sorted(INDUSTRIAL_DATASETS))

@@ -11,8 +11,9 @@ from components.data import robots
 from components.data.dataset import DatasetCard, OfflineDataset
 from components.data.lanes import LaneData
 from components.data.robot_collection import Exploration, collect_episodes
-from components.data.robots import ROBOT_DATASETS, RobotSpec, make_robots
-from components.environments.robot_specs import SWIMMER
+from components.data.robots import ROBOT_DATASETS, RobotSpec, machine_section, make_robots
+from components.environments.robot_specs import HOPPER, SWIMMER, WALKER2D, Robot
+from components.environments.robots import Robots
 from components.networks import lane_generator, lane_key
 from tests.components.data.toy_robot import LIMIT, ToyRobot, toy_expert
 
@@ -175,16 +176,38 @@ def test_card_says_what_the_log_is(dataset: OfflineDataset) -> None:
     assert card.steps == lengths(dataset).max()
     assert (card.history, card.discount, card.return_steps) == (1, 0.99, 100)
     assert card.simulator.startswith("mujoco 4") or card.simulator.startswith("mujoco 3")
-    assert card.machine["learned"] == ["place", "speed", "tilt", "reward"]
-    assert card.machine["known"] == {
-        "features": ["push", "lean"],
+    assert card.machine == machine_section(HOPPER)
+    assert DatasetCard.from_json(card.to_json()) == card
+
+
+def test_of_a_robot_only_its_action_is_known() -> None:
+    section = machine_section(SWIMMER)
+    assert section["known"] == {
+        "features": ["first_rotor_torque", "second_rotor_torque"],
         "keep": [0.0, 0.0],
         "scale": [1.0, 1.0],
         "low": -1.0,
         "high": 1.0,
     }
-    assert card.machine["reward"] == {"reward": 1.0}
-    assert DatasetCard.from_json(card.to_json()) == card
+    assert section["learned"] == [*SWIMMER.frame_features, "reward"]
+    assert section["reward"] == {"reward": 1.0}
+    assert "healthy" not in section
+
+
+@pytest.mark.parametrize("robot", [HOPPER, WALKER2D])
+def test_healthy_ranges_tell_falls_from_frames(robot: Robot) -> None:
+    machine = Robots(robot, 60)
+    rng = np.random.default_rng(0)
+    machine.reset(rng)
+    ranges = machine_section(robot)["healthy"]
+    everything = [ranges.get(name, [None, None]) for name in robot.frame_features]
+    low = np.array([-np.inf if least is None else least for least, _ in everything])
+    high = np.array([np.inf if greatest is None else greatest for _, greatest in everything])
+    for _ in range(60):
+        frames, _ = machine.step(rng.uniform(-1.0, 1.0, (60, len(robot.action_features))))
+        stands = ((low < frames) & (frames < high)).all(axis=1)
+        np.testing.assert_array_equal(stands, ~machine.terminated)
+    assert machine.terminated.any()
 
 
 def test_returns_on_the_card_count_nothing_after_a_fall(dataset: OfflineDataset) -> None:
