@@ -21,7 +21,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.sections import Strict
 from flows.session import run_door
 
-__all__ = ["RenderSettings", "command", "find_policy", "load_render_settings"]
+__all__ = ["RenderSettings", "film_command", "find_policy", "load_render_settings"]
 
 HELP = """\
 usage: python -m flows.render run=ID out=FILE [KEY=VALUE ...]
@@ -74,9 +74,10 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     return settings
 
 
-def command(run: str) -> str:
-    """The command line that films a run."""
-    return f"python -m flows.render run={run} out={run.replace('/', '-')}.mp4"
+def film_command(run: str, name: str, takes_lambda: bool) -> str:
+    """The command line that films a run into a file of the given name."""
+    words = [f"run={run}", f"out={name.replace('/', '-')}.mp4", *["lambda=0.5"] * takes_lambda]
+    return " ".join(["python -m flows.render", *words])
 
 
 def find_policy(store: ArtifactStore, run: str) -> dict[str, Any]:
