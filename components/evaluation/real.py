@@ -130,7 +130,10 @@ def evaluate_policies(
             history.push(frames)
             returns[number] += config.discount**t * np.where(running[number], rewards, 0.0)
             running[number] &= ~machine.terminated
-        progress((t + 1) / config.horizon)
+        over = not running.any()
+        progress(1.0 if over else (t + 1) / config.horizon)
+        if over:
+            break
     by_policy = (len(policies), snapshots, len(grid), repeats)
     total, states = (array.reshape(by_policy).mean(axis=-1) for array in (distance, visited))
     return [
