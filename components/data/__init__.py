@@ -1,5 +1,6 @@
-"""Datasets: controllers, collection, storage, history windows, splits and exchange.
+"""Datasets: controllers, experts, collection, storage, history windows, splits and exchange.
 
-Import from the modules: learners use `dataset`, `history` and `splits`, which know no environment;
-`collection` and `catalogue` run the real system.
+Import from the modules: learners use `dataset`, `history`, `lanes` and `splits`, which know no
+environment; `catalogue` and whatever it makes datasets with (`industrial`, `robots`, `experts`) run
+the real systems.
 """

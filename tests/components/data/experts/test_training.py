@@ -10,7 +10,7 @@ import torch
 
 from components.data.experts.judging import episode_rewards, judge
 from components.data.experts.online import OnlineDDPG
-from components.data.experts.training import train_experts
+from components.data.experts.training import train_experts, without_denormals
 from components.networks import lane_generator, lane_key
 from tests.components.data.experts.test_online import TINY, keys
 from tests.components.data.toy_robot import LIMIT, ToyRobot
@@ -106,6 +106,26 @@ def test_it_learns_to_stand_and_to_run(tmp_path: Path) -> None:
     # reached 95 to 98.
     assert max(curves.of_lane(lane)["evaluation/return"][1][0] for lane in seeds) < 60
     assert min(reached) > 80
+
+
+def test_denormal_numbers_are_nothing_while_training_and_only_then() -> None:
+    def tiny() -> float:
+        return float(torch.tensor([1e-38]) * 1e-3)
+
+    assert tiny() > 0.0
+    if not torch.set_flush_denormal(False):
+        pytest.skip("this processor cannot round denormal numbers to 0")
+    inside = []
+
+    def dies() -> None:
+        with without_denormals():
+            inside.append(tiny())
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        dies()
+    assert inside == [0.0]
+    assert tiny() > 0.0
 
 
 def test_rewards_after_a_fall_are_nothing_and_the_falls_own_one_counts() -> None:
