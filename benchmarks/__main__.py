@@ -7,6 +7,7 @@ from benchmarks import (
     model_free,
     pipeline,
     recurrent,
+    robots,
     wsbc,
 )
 from benchmarks.measure import machine
@@ -19,6 +20,7 @@ def main() -> None:
     print(machine(), flush=True)
     reports = {
         "Industrial Benchmark": environment.report,
+        "Robots": robots.report,
         "Five seeds as five lanes": lanes.report,
         "Recurrent transition ensemble": recurrent.report,
         "Time to a reference-quality ensemble": ensemble_quality.report,

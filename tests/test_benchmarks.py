@@ -21,6 +21,7 @@ from benchmarks import (
     peer_d3rlpy,
     pipeline,
     recurrent,
+    robots,
     wsbc,
 )
 from components.algorithms import ALGORITHMS
@@ -28,6 +29,8 @@ from components.algorithms import wsbc as wsbc_learner
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
+from components.environments import HOPPER_ID
+from components.evaluation.real import EvaluationConfig
 from components.models.recurrent_ensemble import RecurrentEnsembleConfig
 from components.models.rollout import MachineRule
 from components.networks import LaneStreams
@@ -55,6 +58,24 @@ def test_environment_benchmark_prints_a_table(
     copies = [line.split("|")[2].strip() for line in lines[2:9]]
     assert copies == ["1", "1", "1", "10", "20", "100", "200"]
     assert "NumPy" in lines[-1]
+
+
+def test_robots_table() -> None:
+    header, *rows = cells(robots.report(copies=3, episodes=2, repetitions=1))
+    assert header[0] == "robot"
+    assert [row[0] for row in rows[::3]] == ["Swimmer-v0", "Hopper-v0", "Walker2d-v0"]
+    assert [row[3] for row in rows[::3]] == ["1.0"] * 3
+
+
+def test_both_sides_of_the_robots_benchmark_earn_the_same() -> None:
+    policy = robots.untrained_policy(HOPPER_ID, hidden=(8,))
+    config = EvaluationConfig(trajectories=4, horizon=60, discount=0.99)
+    plain, steps = robots.plain_returns(policy, HOPPER_ID, 4, config)
+    together = robots.evaluated(policy, HOPPER_ID, config, threads=2).returns[0, 0]
+    # float32 sums in another order, over up to sixty steps of contact
+    np.testing.assert_allclose(together, plain, rtol=1e-3)
+    assert steps < 4 * 60, "some episodes end in a fall"
+    assert robots._steps(policy, HOPPER_ID, config) == steps
 
 
 def test_the_runs_of_a_comparison_take_turns() -> None:
@@ -280,6 +301,7 @@ def test_all_benchmarks_are_printed_under_their_titles(
 ) -> None:
     modules = (
         environment,
+        robots,
         lanes,
         recurrent,
         ensemble_quality,
