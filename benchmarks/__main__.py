@@ -3,6 +3,7 @@
 from benchmarks import (
     ensemble_quality,
     environment,
+    experts,
     lanes,
     model_free,
     pipeline,
@@ -25,6 +26,7 @@ def main() -> None:
         "Recurrent transition ensemble": recurrent.report,
         "Time to a reference-quality ensemble": ensemble_quality.report,
         "A swarm of policies": wsbc.report,
+        "Four experts in training": experts.report,
         "Pipeline": pipeline.report,
     }
     if beside := model_free.available():

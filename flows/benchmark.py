@@ -20,6 +20,7 @@ __all__ = [
     "data_plan",
     "model_choice",
     "model_node",
+    "plain",
     "sweep_name",
     "variants",
 ]
@@ -34,11 +35,11 @@ COMPONENTS = {
 """The components and the versions of their code; raise one when its results change."""
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON-able copy: tuples become lists."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
+        return {str(k): plain(v) for k, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def _data_node(settings: Settings, name: str) -> Node:
         name=f"data/{name}",
         task="flows.tasks:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": _plain(asdict(spec)), "seed": settings.data.seed},
+        config={"spec": plain(asdict(spec)), "seed": settings.data.seed},
         tags={"dataset": name},
         cost=1e-4 * spec.trajectories * spec.steps / 10,
     )
@@ -116,7 +117,7 @@ def model_node(
         + ("" if shared else f"/seed{seed}"),
         task="flows.fitting:fit_model",
         version=COMPONENTS["model_fitting"],
-        config={"model": name, "settings": _plain(asdict(model)), "seed": seed},
+        config={"model": name, "settings": plain(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=model_cost(name, model),
@@ -130,7 +131,7 @@ def _policy_node(
     module = ALGORITHMS[algorithm]
     # A stack has one configuration, and models of one shape.
     models = {role: inputs[role].config["settings"] for role in module.NEEDS}
-    kind = digest([_plain(asdict(config)), models], 4)
+    kind = digest([plain(asdict(config)), models], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -139,7 +140,7 @@ def _policy_node(
         config={
             "algorithm": algorithm,
             "algorithm_version": module.VERSION,
-            "settings": _plain(asdict(config)),
+            "settings": plain(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },

@@ -96,7 +96,13 @@ def make_executor(settings: Settings) -> Executor:
     return RayExecutor(cpus=runner.cpus, threads=runner.threads, device=device)
 
 
-def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
+def run_sweep(
+    settings: Settings,
+    name: str,
+    plan: Plan,
+    report: Report,
+    params: Mapping[str, str] | None = None,
+) -> int:
     """Show the plan, run what is not finished, record and report it.
 
     Args:
@@ -105,6 +111,7 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         plan: What.
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
+        params: What the sweep is over; datasets, algorithms and seeds by default.
 
     Returns:
         The exit code.
@@ -125,16 +132,13 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         "mlflow.note.content": f"Sweep **{name}**, made by `{command}`. The table and the figures "
         "are among the artifacts, under `report/`; every node is a run below this one.",
     }
-    ledger.open_sweep(
-        name,
-        tags,
-        {
+    if params is None:
+        params = {
             "datasets": ",".join(settings.datasets),
             "algorithms": ",".join(settings.algorithms),
             "seeds": ",".join(map(str, settings.seeds)),
-        },
-        plan,
-    )
+        }
+    ledger.open_sweep(name, tags, params, plan)
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}

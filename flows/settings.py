@@ -16,7 +16,9 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
-from components.data.catalogue import DatasetSpec
+from components.data.experts.online import ExpertConfig
+from components.data.industrial import IndustrialSpec
+from components.data.robots import ROBOTS
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
@@ -35,6 +37,7 @@ from flows.sections import (
     AggregationSettings,
     DataSettings,
     EvaluationSettings,
+    ExpertsSettings,
     ModelsSettings,
     RunnerSettings,
     Strict,
@@ -75,11 +78,12 @@ class Settings(Strict):
     runner: RunnerSettings
     models: ModelsSettings
     tuning: TuningSettings
+    experts: ExpertsSettings
     variants: dict[str, tuple[str, tuple[float, ...]]]
     model_words: dict[str, str]
     store: Path
     dry_run: bool
-    dataset: dict[str, DatasetSpec]
+    dataset: dict[str, IndustrialSpec]
     algorithm: dict[str, Any]
     model: dict[str, Any]
     special: dict[str, dict[str, dict[str, Any]]]
@@ -148,19 +152,14 @@ def _check(
     del values["domain"]
     if values["store"] == "":
         raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
-    values["datasets"] = _select("dataset", values["datasets"])
-    values["algorithms"] = _select("algorithm", values["algorithms"])
-    seeds = values["seeds"] if isinstance(values["seeds"], list) else [values["seeds"]]
-    if not seeds or len(set(map(str, seeds))) != len(seeds):
-        raise SettingsError(f"seeds={seeds} must be a list of different whole numbers.")
-    if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in seeds):
-        raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
-    values["seeds"] = seeds
+    for group in ("dataset", "algorithm"):
+        values[f"{group}s"] = _select(group, values[f"{group}s"], names_in(group))
+    values["seeds"] = _seeds(values["seeds"])
     try:
         data = build_config(DataSettings, "data", values["data"])
         sizes = {"trajectories": data.trajectories, "steps": data.steps}
         values["dataset"] = {
-            name: build_config(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
+            name: build_config(IndustrialSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
             for name, fields in _of_specs(values["dataset"])
         }
         kinds = {"algorithm": _algorithm_configs(), "model": _model_configs()}
@@ -179,9 +178,14 @@ def _check(
             ("runner", RunnerSettings),
             ("models", ModelsSettings),
             ("tuning", TuningSettings),
+            ("experts", ExpertsSettings),
         )
         check_group("tuning", values["tuning"])
-        values["tuning"]["models"] = _select("model", values["tuning"].get("models"))
+        values["tuning"]["models"] = _select(
+            "model", values["tuning"].get("models"), names_in("model")
+        )
+        check_group("experts", values["experts"])
+        values["experts"] = _experts(values["experts"])
         values |= {name: build_config(kind, name, values[name]) for name, kind in sections}
         values["data"] = data
         values["variants"] = _variants(values)
@@ -270,8 +274,26 @@ def _check_snapshots(settings: Settings) -> None:
             )
 
 
-def _select(group: str, chosen: Any) -> list[str]:
-    valid = names_in(group)
+def _experts(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The section of the experts with its names, seeds and training checked."""
+    return {
+        **values,
+        "robots": _select("robot", values.get("robots"), list(ROBOTS)),
+        "seeds": _seeds(values.get("seeds")),
+        "training": build_config(ExpertConfig, "experts.training", values.get("training")),
+    }
+
+
+def _seeds(chosen: Any) -> list[int]:
+    seeds = chosen if isinstance(chosen, list) else [chosen]
+    if not seeds or len(set(map(str, seeds))) != len(seeds):
+        raise SettingsError(f"seeds={seeds} must be a list of different whole numbers.")
+    if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in seeds):
+        raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
+    return seeds
+
+
+def _select(group: str, chosen: Any, valid: list[str]) -> list[str]:
     if chosen == "all":
         return valid
     names = [str(name) for name in (chosen if isinstance(chosen, list) else [chosen])]
