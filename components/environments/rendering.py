@@ -56,10 +56,13 @@ def drawing_library() -> str:
     for library in (named,) if named else _LIBRARIES:
         if library in _LIBRARIES and _works(library):
             return library
-    tried = f"{_CHOICE}={named} does not work" if named else "neither EGL nor OSMesa works"
+    if named:
+        raise OSError(
+            f"{_CHOICE}={named} cannot draw without a screen here; unset it to use whatever works."
+        )
     raise OSError(
-        f"Nothing here can draw without a screen ({tried}); install EGL (on Debian: libegl1 and "
-        f"libgl1-mesa-dri) or OSMesa (libosmesa6), or correct {_CHOICE}."
+        "Nothing here can draw without a screen: neither EGL nor OSMesa works; install one of them "
+        "(on Debian: libegl1 and libgl1-mesa-dri, or libosmesa6)."
     )
 
 

@@ -68,16 +68,16 @@ def test_the_first_library_that_works_draws(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(rendering, "_works", lambda library: library == "osmesa")
     assert drawing_library() == "osmesa"
     monkeypatch.setenv("MUJOCO_GL", "EGL")
-    with pytest.raises(OSError, match=r"\(MUJOCO_GL=egl does not work\)"):
+    with pytest.raises(OSError, match="MUJOCO_GL=egl cannot draw without a screen here; unset it"):
         drawing_library()
     monkeypatch.delenv("MUJOCO_GL")
     monkeypatch.setattr(rendering, "_works", lambda library: False)
-    with pytest.raises(OSError, match=r"neither EGL nor OSMesa works\).*Debian"):
+    with pytest.raises(OSError, match="neither EGL nor OSMesa works; install one of them"):
         drawing_library()
 
 
 def test_a_library_that_is_not_there_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "glfw")
-    with pytest.raises(OSError, match="MUJOCO_GL=glfw does not work"):
+    with pytest.raises(OSError, match="MUJOCO_GL=glfw cannot draw"):
         drawing_library()  # it opens windows
     assert not rendering._works("no_such_library")

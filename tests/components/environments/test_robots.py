@@ -172,6 +172,28 @@ def test_names_of_features_follow_the_model(robot: Robot) -> None:
         assert turning == angle.replace("angle", "angular_velocity")
 
 
+@pytest.mark.parametrize("name", [HOPPER_ID, WALKER2D_ID])
+def test_where_a_robot_stands_is_what_gymnasium_calls_healthy(name: str) -> None:
+    single, health = gym.make(name).unwrapped, ROBOTS[name].health
+    assert isinstance(single, MujocoEnv)
+    assert health is not None
+    low, high = health.height
+    at_bounds = [(1, low), (1, min(high, 50.0)), (2, health.angle), (2, -health.angle)]
+    at_bounds += [(place, sign * 100.0) for place in (3, single.model.nq) for sign in (1, -1)]
+    verdicts = []
+    for place, bound in at_bounds:
+        for value in (np.nextafter(bound, -np.inf), bound, np.nextafter(bound, np.inf), np.nan):
+            state = np.concatenate([single.init_qpos, single.init_qvel])
+            state[place] = value
+            positions, velocities = np.split(state, [single.model.nq])
+            single.data.qpos[:], single.data.qvel[:] = positions, velocities
+            verdicts.append(bool(health.holds(positions[None], velocities[None])[0]))
+            # Walker2D's class does not look at a joint's value, not even whether it is a number
+            blind = name == WALKER2D_ID and place > 2 and np.isnan(value)
+            assert verdicts[-1] == (not blind and single.is_healthy)  # type: ignore[attr-defined]
+    assert {True, False} == set(verdicts)
+
+
 def fall(robots: Robots, rng: np.random.Generator) -> None:
     """Step until some copies have fallen and others stand."""
     for _ in range(100):
