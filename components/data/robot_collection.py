@@ -78,10 +78,82 @@ class Episode:
         )
 
 
+class _Stage:
+    """N copies, each of which lives the episode of some number, or none."""
+
+    def __init__(self, machine: Robots, exploration: Exploration, horizon: int, key: int) -> None:
+        self._machine, self._exploration = machine, exploration
+        self._horizon, self._key = horizon, key
+        copies, width = machine.copies, len(machine.action_features)
+        shape = (copies, horizon, width)
+        self._frames = np.empty(
+            (copies, horizon + 1, len(machine.frame_features)), dtype=np.float32
+        )
+        self._actions = np.empty(shape, dtype=np.float32)
+        self._rewards = np.empty((copies, horizon), dtype=np.float32)
+        self._uniform, self._noise = np.zeros(shape), np.zeros(shape)
+        self._copies = np.arange(copies)
+        self._number = np.full(copies, -1)  # of the episode; -1 for none
+        self._elapsed = np.zeros(copies, dtype=np.int64)
+        self._starts = [lane_generator(key)] * copies  # of each copy's episode
+        self._current = machine.reset(self._starts)  # undone by the episodes' own starts
+        self._begun = 0
+        self.lived = 0  # steps of all begun episodes so far
+
+    @property
+    def busy(self) -> bool:
+        """Whether any copy lives an episode."""
+        return bool((self._number >= 0).any())
+
+    def fill(self) -> None:
+        """Begin the next episodes on all copies that live none."""
+        free = self._copies[self._number < 0]
+        if not len(free):
+            return
+        for copy in free:
+            number, self._begun = self._begun, self._begun + 1
+            self._number[copy] = number
+            self._starts[copy] = lane_generator(lane_key(self._key, "start"), number)
+            rng = lane_generator(lane_key(self._key, "exploration"), number)
+            planned = self._exploration.plan(rng, self._horizon, self._actions.shape[2])
+            self._uniform[copy], self._noise[copy] = planned
+        self._elapsed[free] = 0
+        mask = np.isin(self._copies, free)
+        self._current[free] = self._machine.reset_copies(mask, self._starts)
+        self._frames[free, 0] = self._current[free]
+
+    def step(self, expert: Callable[[Array], Array]) -> dict[int, Episode]:
+        """Let every copy act once; returns the episodes that end, by number."""
+        living = self._copies[self._number >= 0]
+        at = self._elapsed[living]
+        taken = np.zeros_like(self._actions[:, 0])
+        uniform, noise = self._uniform[living, at], self._noise[living, at]
+        noisy = np.clip(expert(self._current[living]) + noise, -1.0, 1.0)
+        taken[living] = np.where(np.isnan(uniform), noisy, uniform)
+        self._current, rewards = self._machine.step(taken.astype(np.float64))
+        self._actions[living, at], self._rewards[living, at] = taken[living], rewards[living]
+        self._frames[living, at + 1] = self._current[living]
+        self._elapsed[living] += 1
+        self.lived += len(living)
+        fallen = self._machine.terminated
+        ended = living[fallen[living] | (self._elapsed[living] == self._horizon)]
+        finished = {int(self._number[copy]): self._episode(copy, fallen[copy]) for copy in ended}
+        self._number[ended] = -1
+        return finished
+
+    def _episode(self, copy: int, fallen: np.bool_) -> Episode:
+        t = self._elapsed[copy]
+        return Episode(
+            self._frames[copy, : t + 1].copy(),
+            self._actions[copy, :t].copy(),
+            self._rewards[copy, :t].copy(),
+            bool(fallen),
+        )
+
+
 def collect_episodes(
     expert: Callable[[Array], Array],
     machine: Robots,
-    copies: int,
     exploration: Exploration,
     *,
     horizon: int,
@@ -92,67 +164,22 @@ def collect_episodes(
 
     Args:
         expert: maps frames `[N, F]` to actions `[N, A]`.
-        machine: N copies of the robot.
-        copies: N.
+        machine: copies of the robot.
         exploration: how the log leaves the expert's path.
         horizon: steps after which an episode's time is up.
         transitions: steps in all.
         key: random stream.
     """
-    features, width = len(machine.frame_features), len(machine.action_features)
-    frames = np.empty((copies, horizon + 1, features), dtype=np.float32)
-    actions = np.empty((copies, horizon, width), dtype=np.float32)
-    rewards = np.empty((copies, horizon), dtype=np.float32)
-    uniform, noise = (np.zeros((copies, horizon, width)) for _ in range(2))
-    number = np.full(copies, -1)  # of the episode that a copy lives; -1 for none
-    elapsed = np.zeros(copies, dtype=np.int64)
-    starts = [lane_generator(key)] * copies  # of each copy's episode
-    current = machine.reset(starts)  # undone by the first episodes' starts
+    stage = _Stage(machine, exploration, horizon, key)
     finished: dict[int, Episode] = {}
-    begun = lived = 0
-    slots = np.arange(copies)
-    while True:
-        # Every step of a begun episode counts for the log: once they suffice, none is begun.
-        free = slots[number < 0] if lived < transitions else slots[:0]
-        if len(free):
-            number[free] = begun + np.arange(len(free))
-            begun += len(free)
-            elapsed[free] = 0
-            for slot in free:
-                starts[slot] = lane_generator(lane_key(key, "start"), int(number[slot]))
-                rng = lane_generator(lane_key(key, "exploration"), int(number[slot]))
-                uniform[slot], noise[slot] = exploration.plan(rng, horizon, width)
-            current[free] = machine.reset_copies(np.isin(slots, free), starts)
-            frames[free, 0] = current[free]
-        living = slots[number >= 0]
-        if not len(living):
-            break
-        now = elapsed.clip(max=horizon - 1)
-        chosen = uniform[slots, now]
-        noisy = np.clip(expert(current) + noise[slots, now], -1.0, 1.0)
-        taken = np.where(np.isnan(chosen), noisy, chosen).astype(np.float32)
-        following, reward = machine.step(taken.astype(np.float64))
-        current = following
-        at = elapsed[living]
-        actions[living, at], rewards[living, at] = taken[living], reward[living]
-        frames[living, at + 1] = current[living]
-        elapsed[living] += 1
-        lived += len(living)
-        fallen = machine.terminated
-        for slot in living[fallen[living] | (elapsed[living] == horizon)]:
-            t = elapsed[slot]
-            finished[number[slot]] = Episode(
-                frames[slot, : t + 1].copy(),
-                actions[slot, :t].copy(),
-                rewards[slot, :t].copy(),
-                bool(fallen[slot]),
-            )
-            number[slot] = -1
+    stage.fill()
+    while stage.busy:
+        finished |= stage.step(expert)
+        if stage.lived < transitions:  # all that begin also end, and every step of theirs counts
+            stage.fill()
     log: list[Episode] = []
     missing = transitions
-    for n in range(begun):
-        if missing <= 0:
-            break
-        log.append(finished[n].cut(missing))
+    while missing > 0:
+        log.append(finished[len(log)].cut(missing))
         missing -= log[-1].steps
     return log

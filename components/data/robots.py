@@ -134,7 +134,6 @@ class RobotSpec:
         episodes = collect_episodes(
             expert.act,
             machine,
-            _COPIES,
             Exploration(self.epsilon, self.noise),
             horizon=self.steps,
             transitions=self.transitions,

@@ -127,7 +127,6 @@ def test_the_log_does_not_depend_on_the_number_of_copies() -> None:
         return collect_episodes(
             toy_expert().act,
             ToyRobot(copies),
-            copies,
             Exploration(0.5, 0.3),
             horizon=40,
             transitions=transitions,

@@ -26,6 +26,7 @@ class ToyRobot:
     action_features = ("push", "lean")
 
     def __init__(self, copies: int, unsteady: float = 0.6) -> None:
+        self.copies = copies
         self._unsteady = unsteady
         self._state = np.zeros((copies, 3))
         self.terminated = np.zeros(copies, dtype=np.bool_)
