@@ -12,7 +12,7 @@ from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.normaliser import Normaliser
 from components.models.action_vae import ActionVAE
 from components.models.mlp_ensemble import MLPEnsemble
-from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.models.recurrent_ensemble import Feedback, RecurrentEnsemble
 from components.networks import StackedMLP, lane_generator, lane_key
 from components.networks.policy import Policy, PolicyCard
 from components.networks.variational import ConditionalVAE
@@ -20,6 +20,7 @@ from components.networks.variational import ConditionalVAE
 CPU = torch.device("cpu")
 FEATURES = ("setpoint", "velocity", "gain", "shift", "fatigue", "consumption")
 SCALE = np.array([1.0, 10.0, 5.75])
+FATIGUE_ALONE = Feedback.stored(torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1))
 GAINS = np.array([[-0.8, 0.2, 0.0], [0.1, -0.6, 0.3], [0.3, 0.0, -0.5]])
 
 
@@ -78,9 +79,14 @@ def make_log(
         frame_features=FEATURES,
         action_features=("velocity", "gain", "shift"),
         machine={
-            "action_scale": SCALE.tolist(),
-            "steering_low": 0.0,
-            "steering_high": 100.0,
+            "known": {
+                "features": list(FEATURES[:4]),
+                "keep": [1.0] * 3,
+                "scale": SCALE.tolist(),
+                "low": 0.0,
+                "high": 100.0,
+            },
+            "learned": list(FEATURES[4:]),
             "reward": {"fatigue": -0.03, "consumption": -0.01},
         },
         return_steps=steps,
@@ -164,6 +170,8 @@ def random_ensemble(
         scaling,
         scaled.amin(dim=0),
         scaled.amax(dim=0),
+        FATIGUE_ALONE,
+        dataset.card.history,
     )
 
 
@@ -186,6 +194,7 @@ def random_mlp_ensemble(
     return MLPEnsemble(
         layers=tuple(layers),
         frames=scaling,
+        observed=(0, 6),
         low=scaled.amin(dim=0),
         high=scaled.amax(dim=0),
         target_mean=torch.tensor([0.01, -0.02]),

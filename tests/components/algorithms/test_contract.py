@@ -141,7 +141,7 @@ def test_lanes_need_equal_shapes_and_one_machine() -> None:
     with pytest.raises(ValueError, match="equal frame, action and history widths"):
         LaneData([LOG, make_log(history=4)], CPU)
     other = make_log("other")
-    other.card.machine["steering_high"] = 90.0  # type: ignore[index]
+    other.card.machine["known"]["high"] = 90.0
     with pytest.raises(ValueError, match="same kind of machine"):
         _ = Ingredients(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
 
