@@ -73,7 +73,7 @@ class ModelBuffer(nn.Module):
         self.ended[:, places] = self._length if ended is None else ended.to(self.ended.dtype)
 
     def batch(self, index: Tensor) -> Batch:
-        """Transitions ``index [L, B]``; number ``n T + t`` is step t of the trajectory at place n."""
+        """Transitions ``index [L, B]``: ``n T + t`` is step t of the trajectory at place n."""
         place, step = index // self._length, index % self._length
         lane = torch.arange(len(index), device=index.device)[:, None]
         ended = self.ended[lane, place].long()

@@ -276,7 +276,8 @@ def healthy_ranges(data: LaneData) -> tuple[Tensor, Tensor] | None:
         for name, ends in card.machine.get("healthy", {}).items():
             if name not in card.frame_features:
                 raise ValueError(
-                    f"{name!r} on the card of {card.name} is no feature of its frames."
+                    f"The card of {card.name} has a healthy range of {name!r}, which is no feature "
+                    f"of its frames {card.frame_features}."
                 )
             for side, end in enumerate(ends):
                 if end is not None:

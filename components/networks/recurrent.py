@@ -51,7 +51,7 @@ class _Unroll(torch.autograd.Function):
             buffer[0, :, width + features : -1] = own
         readings = inputs.new_empty(steps, cells, outputs, batch)
         doubled = 2.0 * weight
-        activation = hidden.new_empty(cells, width, batch)
+        activation = hidden.clone()  # which it stays without any step
         for t in range(steps):
             torch.bmm(doubled, buffer[t], out=activation)
             activation.sigmoid_().mul_(2.0).sub_(1.0)
