@@ -158,9 +158,8 @@ def first_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDAr
     Raises:
         ValueError: If no episode is longer than ``after``.
     """
-    starts, ends = dataset.episode_starts[:-1], dataset.episode_starts[1:]
-    rows = starts[:, None] + np.arange(after, window)
-    found = rows[rows < ends[:, None]]
+    step = np.arange(dataset.transitions) - dataset.episode_starts[dataset.episode_index()]
+    found = np.flatnonzero((after <= step) & (step < window))
     if not len(found):
         raise ValueError(
             f"No trajectory of {dataset.card.name} has a step among its first {window} but not "

@@ -28,26 +28,26 @@ class RecurrentTransition:
         self.low = torch.stack([e.low for e in ensembles]).to(device)
         self.high = torch.stack([e.high for e in ensembles]).to(device)
         self.target_scale = torch.ones_like(self.low)
-        self._weight = torch.cat([e.weight for e in ensembles]).to(device)  # [L * M, H, ...]
+        # [L * M, H, ...]; columns of what a group does not read back are zero.
+        self._weight = torch.cat([e.weight for e in ensembles]).to(device)
         self._readout = torch.cat([e.readout for e in ensembles]).to(device)
         # Groups, members, outputs: the axes of what all networks of a lane read out.
         self._shape = (len(first.feedback.reads), self.members, first.readout.shape[1])
-        reads, adds = first.feedback.reads.to(device), first.feedback.adds.to(device)
-        self._looped = reads.shape[1]
-        self._reads = reads[None, :, None, :, None]
+        adds = first.feedback.adds.to(device)
+        self._looped = adds.shape[1]
         every = torch.zeros(self._shape[0], self._shape[2], device=device)
         every[:, : self._looped] = adds
         self._adds = every.view(1, -1, 1, 1) if first.feedback.sums else None
 
     def _own(self, previous: Tensor) -> Tensor:
-        """Previous values that networks read, ``[..., groups, S, D', B]``, of all targets.
+        """Previous values for every network's loop, ``[..., groups, S, D', B]``, of all targets.
 
         Args:
             previous: ``[..., D, S, B]`` normalised.
         """
         groups, _, outputs = self._shape
-        by_group: Tensor = previous.unflatten(-3, (groups, outputs)).transpose(-3, -2)
-        return by_group[..., : self._looped, :] * self._reads
+        by_group = previous.unflatten(-3, (groups, outputs)).transpose(-3, -2)
+        return by_group[..., : self._looped, :]
 
     @torch.no_grad()
     def begin(self, recorded: Tensor) -> Tensor:

@@ -208,9 +208,8 @@ class VirtualMachine:
             seen = observation.flatten(1, 2)
             action = act(seen)
             by_feature = action.transpose(1, 2).contiguous().view(*moved.shape)
-            moved = (moved * self._keep + by_feature * self._scale).clamp(
-                self._rule.low, self._rule.high
-            )
+            moved = torch.addcmul(by_feature * self._scale, moved, self._keep)
+            moved = moved.clamp(self._rule.low, self._rule.high)
             known = torch.cat([constant, moved], dim=1)
             scaled = (known - self._known_mean) / self._known_scale
             prediction, state = self.model.predict(
