@@ -46,7 +46,7 @@ class RecurrentTransition:
             previous: ``[..., D, S, B]`` normalised.
         """
         groups, _, outputs = self._shape
-        by_group = previous.unflatten(-3, (groups, outputs)).transpose(-3, -2)
+        by_group: Tensor = previous.unflatten(-3, (groups, outputs)).transpose(-3, -2)
         return by_group[..., : self._looped, :]
 
     @torch.no_grad()
