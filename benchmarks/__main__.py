@@ -3,10 +3,12 @@
 from benchmarks import (
     ensemble_quality,
     environment,
+    experts,
     lanes,
     model_free,
     pipeline,
     recurrent,
+    robots,
     wsbc,
 )
 from benchmarks.measure import machine
@@ -19,10 +21,12 @@ def main() -> None:
     print(machine(), flush=True)
     reports = {
         "Industrial Benchmark": environment.report,
+        "Robots": robots.report,
         "Five seeds as five lanes": lanes.report,
         "Recurrent transition ensemble": recurrent.report,
         "Time to a reference-quality ensemble": ensemble_quality.report,
         "A swarm of policies": wsbc.report,
+        "Four experts in training": experts.report,
         "Pipeline": pipeline.report,
     }
     if beside := model_free.available():

@@ -20,6 +20,7 @@ __all__ = [
     "data_plan",
     "model_choice",
     "model_node",
+    "plain",
     "sweep_name",
     "variants",
 ]
@@ -34,11 +35,11 @@ COMPONENTS = {
 """The components and the versions of their code; raise one when its results change."""
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON-able copy: tuples become lists."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
+        return {str(k): plain(v) for k, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,9 @@ class Variant:
     tags: Mapping[str, str] = field(default_factory=dict)
 
 
-def variants(settings: Settings, algorithm: str) -> list[Variant]:
+def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
     """The policies that an algorithm is asked for: one, or one per value of one of its settings."""
-    config = settings.algorithm[algorithm]
+    config = settings.algorithm_on(dataset, algorithm)
     if algorithm not in settings.variants:
         return [Variant(algorithm, config, algorithm)]
     name, chosen = settings.variants[algorithm]
@@ -82,14 +83,21 @@ def _data_node(settings: Settings, name: str) -> Node:
         name=f"data/{name}",
         task="flows.tasks:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": _plain(asdict(spec)), "seed": settings.data.seed},
+        config={"spec": plain(asdict(spec)), "seed": settings.data.seed},
         tags={"dataset": name},
         cost=1e-4 * spec.trajectories * spec.steps / 10,
     )
 
 
 def model_node(
-    name: str, model: Any, dataset: str, data: Node, seed: int = 0, *, shared: bool = True
+    name: str,
+    model: Any,
+    dataset: str,
+    data: Node,
+    seed: int = 0,
+    *,
+    shared: bool = True,
+    wanted_by: str = "",
 ) -> Node:
     """The node that fits a model.
 
@@ -100,13 +108,16 @@ def model_node(
         data: The dataset's node.
         seed: Of the fit. Models that all policies of a dataset share have seed 0.
         shared: Whether they do, or else the fit belongs to the policies of this seed.
+        wanted_by: The algorithm that wants other settings than the rest, if one does.
     """
     return Node(
         component="model_fitting",
-        name=f"{name}/{dataset}" + ("" if shared else f"/seed{seed}"),
+        name=f"{name}/{dataset}"
+        + (f"/{wanted_by}" if wanted_by else "")
+        + ("" if shared else f"/seed{seed}"),
         task="flows.fitting:fit_model",
         version=COMPONENTS["model_fitting"],
-        config={"model": name, "settings": _plain(asdict(model)), "seed": seed},
+        config={"model": name, "settings": plain(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=model_cost(name, model),
@@ -120,7 +131,7 @@ def _policy_node(
     module = ALGORITHMS[algorithm]
     # A stack has one configuration, and models of one shape.
     models = {role: inputs[role].config["settings"] for role in module.NEEDS}
-    kind = digest([_plain(asdict(config)), models], 4)
+    kind = digest([plain(asdict(config)), models], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -129,7 +140,7 @@ def _policy_node(
         config={
             "algorithm": algorithm,
             "algorithm_version": module.VERSION,
-            "settings": _plain(asdict(config)),
+            "settings": plain(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
@@ -249,10 +260,16 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
         judge = choice.configs[dataset, "behaviour_policy"]
         behaviour = model_node("behaviour_policy", judge, dataset, data)
         for algorithm in settings.algorithms:
-            for variant in variants(settings, algorithm):
+            special = settings.models_for(dataset, algorithm)
+            for variant in variants(settings, dataset, algorithm):
                 evaluations = {}
                 for seed in settings.seeds:
-                    inputs = {"dataset": data, **models[seed if own else 0]}
+                    fitted = seed if own else 0
+                    inputs = {"dataset": data, **models[fitted]}
+                    for name, config in special.items():
+                        inputs[name] = model_node(
+                            name, config, dataset, data, fitted, shared=not own, wanted_by=algorithm
+                        )
                     policy = _policy_node(settings, variant, dataset, seed, inputs)
                     evaluations[seed] = _evaluation_node(settings, variant, policy, behaviour)
                 nodes.append(_aggregation_node(settings, variant, dataset, evaluations))

@@ -38,7 +38,7 @@ def build_config(kind: type, path: str, fields: Mapping[str, Any], *, exact: boo
     """
     check_group(path, fields)
     if issubclass(kind, BaseModel):
-        declared = {name: field.annotation for name, field in kind.model_fields.items()}
+        declared = {f.alias or name: f.annotation for name, f in kind.model_fields.items()}
     else:
         declared = get_type_hints(kind)
         declared = {field.name: declared[field.name] for field in dataclasses.fields(kind)}

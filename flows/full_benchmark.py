@@ -2,11 +2,13 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from components.algorithms import ALGORITHMS
 from components.data.dataset import DatasetCard
+from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.tables import (
     ended_notes,
@@ -16,9 +18,10 @@ from components.reporting.tables import (
 )
 from flows.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.pipeline.files import write_text
-from flows.pipeline.plan import Plan
+from flows.pipeline.plan import Node, Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
+from flows.render import film_command
 from flows.session import Metrics, main, run_sweep
 from flows.settings import Settings
 
@@ -67,15 +70,14 @@ def write_report(
     drawn = [s for n, s in zip(judged, summaries, strict=True) if s["algorithm"] in n.tags.values()]
     rows = result_rows(summaries)
     table, text = folder / "results.csv", folder / "results.md"
-    write_text(table, results_csv(rows))
-    notes = "".join(f"\n- {note}" for note in ended_notes(summaries))
-    write_text(text, markdown_table(rows) + (f"{notes}\n" if notes else ""))
-    files = [table, text]
+    files, drawable = [table, text], set[str]()
     for node in done:
         if node.component != "data_generation":
             continue
         card_file = store.path(node.key) / "dataset" / "card.json"
         card = DatasetCard.from_json(card_file.read_text(encoding="utf-8"))
+        if card.environment in DRAWABLE:
+            drawable.add(card.name)
         figure = proximity_figure(
             card.name,
             [s for s in drawn if s["dataset"] == card.name],
@@ -84,7 +86,23 @@ def write_report(
         if figure is not None:
             files.append(folder / f"{card.name}.png")
             save_figure(figure, files[-1])
+    write_text(table, results_csv(rows))
+    notes = "".join(f"\n- {note}" for note in [*ended_notes(summaries), *_films(done, drawable)])
+    write_text(text, markdown_table(rows) + (f"{notes}\n" if notes else ""))
     return files, rows, summaries
+
+
+def _films(done: Sequence[Node], drawable: Collection[str]) -> list[str]:
+    """How to watch the first seed of every algorithm on the datasets whose system has a picture."""
+    shown: dict[str, str] = {}
+    for node in done:
+        if node.component != "policy_training" or node.tags["dataset"] not in drawable:
+            continue
+        name = node.name.rpartition("/")[0]
+        steered = ALGORITHMS[node.config["algorithm"]].TAKES_LAMBDA
+        # the key, since a name may be shared with other sweeps
+        shown.setdefault(name, film_command(node.key, name, steered))
+    return [f"To watch {name}: `{command}`" for name, command in shown.items()]
 
 
 def _headline(summaries: Sequence[dict[str, Any]]) -> Metrics:

@@ -7,8 +7,9 @@ from typing import Any
 
 from components.models import MODELS
 from flows.checking import SettingsError, build_config
+from flows.composition import CONF
 from flows.pipeline.plan import Node
-from flows.settings import CONF, Settings
+from flows.settings import Settings
 from flows.tuning.tuned_file import read_tuned, tuned_path
 
 __all__ = ["ModelChoice", "choose_models", "tuned_folder"]
@@ -57,7 +58,7 @@ def choose_models(
         SettingsError: Tuned models are asked for, but there is none, or a file of one is damaged
             or about other data.
     """
-    configs = {(d, m): settings.model[m] for d in data for m in sorted(set(models))}
+    configs = {(d, m): settings.model_on(d, m) for d in data for m in sorted(set(models))}
     if settings.models.source == "default":
         return ModelChoice(configs, frozenset())
     tuned = {pair: found for pair in configs if (found := _tuned(settings, *pair, data[pair[0]]))}

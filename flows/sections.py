@@ -5,10 +5,13 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from components.data.experts.online import ExpertConfig
+
 __all__ = [
     "AggregationSettings",
     "DataSettings",
     "EvaluationSettings",
+    "ExpertsSettings",
     "ModelsSettings",
     "RunnerSettings",
     "Strict",
@@ -49,6 +52,21 @@ class AggregationSettings(Strict):
     """Which policies enter the table."""
 
     pool_fraction: float = Field(gt=0, le=1)
+
+
+class ExpertsSettings(Strict):
+    """Which experts are trained; how is in `training`, an `ExpertConfig`."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+    robots: tuple[str, ...]
+    seeds: tuple[int, ...]
+    physics: Literal["v3", "v5"]
+    episodes: int = Field(ge=1)
+    install: bool
+    training: ExpertConfig
 
 
 class RunnerSettings(Strict):

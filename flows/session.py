@@ -4,6 +4,7 @@ import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from rich.console import Console
@@ -17,8 +18,9 @@ from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.settings import ALIASES, Settings, SettingsError, load_settings
 
-__all__ = ["Metrics", "Report", "command_words", "main", "make_executor", "run_sweep"]
+__all__ = ["Metrics", "Report", "command_words", "main", "make_executor", "run_door", "run_sweep"]
 
+Loaded = TypeVar("Loaded")
 Metrics = Mapping[str, Sequence[tuple[int, float]]]
 Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
@@ -29,7 +31,7 @@ def main(
     body: Callable[[Settings], int],
     aliases: Mapping[str, str] = ALIASES,
 ) -> None:
-    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
+    """Run a door with the settings of conf/ and exit, see `run_door`.
 
     Args:
         door: Its name.
@@ -37,12 +39,29 @@ def main(
         body: What it does.
         aliases: Short keys of its command line and what they stand for.
     """
+    run_door(door, help_text, lambda words: load_settings(words, aliases), body)
+
+
+def run_door(
+    door: str,
+    help_text: str,
+    load: Callable[[Sequence[str]], Loaded],
+    body: Callable[[Loaded], int],
+) -> None:
+    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
+
+    Args:
+        door: Its name.
+        help_text: What it says about itself.
+        load: From the words of the command line to settings.
+        body: What it does with them.
+    """
     arguments = sys.argv[1:]
     if any(word in ("-h", "--help", "help") for word in arguments):
         print(help_text)
         sys.exit(0)
     try:
-        settings = load_settings(arguments, aliases)
+        settings = load(arguments)
     except SettingsError as error:
         print(f"{door}: {error}", file=sys.stderr)
         sys.exit(2)
@@ -77,7 +96,13 @@ def make_executor(settings: Settings) -> Executor:
     return RayExecutor(cpus=runner.cpus, threads=runner.threads, device=device)
 
 
-def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
+def run_sweep(
+    settings: Settings,
+    name: str,
+    plan: Plan,
+    report: Report,
+    params: Mapping[str, str] | None = None,
+) -> int:
     """Show the plan, run what is not finished, record and report it.
 
     Args:
@@ -86,6 +111,7 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         plan: What.
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
+        params: What the sweep is over; datasets, algorithms and seeds by default.
 
     Returns:
         The exit code.
@@ -106,16 +132,13 @@ def run_sweep(settings: Settings, name: str, plan: Plan, report: Report) -> int:
         "mlflow.note.content": f"Sweep **{name}**, made by `{command}`. The table and the figures "
         "are among the artifacts, under `report/`; every node is a run below this one.",
     }
-    ledger.open_sweep(
-        name,
-        tags,
-        {
+    if params is None:
+        params = {
             "datasets": ",".join(settings.datasets),
             "algorithms": ",".join(settings.algorithms),
             "seeds": ",".join(map(str, settings.seeds)),
-        },
-        plan,
-    )
+        }
+    ledger.open_sweep(name, tags, params, plan)
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}

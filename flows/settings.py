@@ -6,28 +6,38 @@ choices.
 """
 
 import dataclasses
-import difflib
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
-from components.data.catalogue import DatasetSpec
+from components.data.experts.online import ExpertConfig
+from components.data.industrial import IndustrialSpec
+from components.data.robots import ROBOTS
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
+from flows.composition import (
+    GROUPS,
+    check_keys,
+    compose_profile,
+    first_line,
+    hint,
+    merge,
+    names_in,
+    parse_overrides,
+    special_settings,
+)
 from flows.sections import (
     AggregationSettings,
     DataSettings,
     EvaluationSettings,
+    ExpertsSettings,
     ModelsSettings,
     RunnerSettings,
     Strict,
@@ -35,9 +45,7 @@ from flows.sections import (
     TuningSettings,
 )
 
-__all__ = ["ALIASES", "CONF", "Settings", "SettingsError", "load_settings"]
-
-CONF = Path(__file__).resolve().parents[1] / "conf"
+__all__ = ["ALIASES", "Settings", "SettingsError", "load_settings"]
 
 ALIASES: Mapping[str, str] = {"models": "models.source"}
 """Short keys of the command line and what they stand for; a door may have others."""
@@ -52,6 +60,8 @@ class Settings(Strict):
         dataset: Every dataset of conf/dataset by name, with sizes filled in.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
+        special: Of datasets that have settings of their own, configuration objects by group
+            (`algorithm`, `model`; `model_for` by algorithm) and name.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
@@ -68,22 +78,28 @@ class Settings(Strict):
     runner: RunnerSettings
     models: ModelsSettings
     tuning: TuningSettings
+    experts: ExpertsSettings
     variants: dict[str, tuple[str, tuple[float, ...]]]
     model_words: dict[str, str]
     store: Path
     dry_run: bool
-    dataset: dict[str, DatasetSpec]
+    dataset: dict[str, IndustrialSpec]
     algorithm: dict[str, Any]
     model: dict[str, Any]
+    special: dict[str, dict[str, dict[str, Any]]]
 
+    def algorithm_on(self, dataset: str, name: str) -> Any:
+        """Configuration object of an algorithm on a dataset."""
+        return self.special.get(dataset, {}).get("algorithm", self.algorithm)[name]
 
-def _names(group: str) -> list[str]:
-    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+    def model_on(self, dataset: str, name: str) -> Any:
+        """Configuration object of a supervised model on a dataset."""
+        return self.special.get(dataset, {}).get("model", self.model)[name]
 
-
-def _hint(word: str, valid: Iterable[str]) -> str:
-    close = difflib.get_close_matches(word, list(valid), n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
+    def models_for(self, dataset: str, algorithm: str) -> dict[str, Any]:
+        """Configuration objects of the models that an algorithm wants otherwise, by name."""
+        found: dict[str, Any] = self.special.get(dataset, {}).get("model_for", {})
+        return dict(found.get(algorithm, {}))
 
 
 def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES) -> Settings:
@@ -106,116 +122,55 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
             profile = value
         else:
             rest.append(f"{aliases.get(key, key)}={value}")
-    if profile not in _names("profile"):
+    if profile not in names_in("profile"):
         raise SettingsError(
-            f"Unknown profile {profile!r}; valid ones are {', '.join(_names('profile'))}."
-            + _hint(profile, _names("profile"))
+            f"Unknown profile {profile!r}; valid ones are {', '.join(names_in('profile'))}."
+            + hint(profile, names_in("profile"))
         )
-    base = _compose(profile)
-    _check_keys(rest, base)
+    groups, chosen = compose_profile(profile)
+    base = merge(groups, chosen)
+    check_keys(rest, base)
     model_words: dict[str, str] = {}
     for word in rest:
         if word.startswith("model."):
             model_words.setdefault(word.split(".")[1], word)
     try:
-        merged = OmegaConf.merge(base, _parse(rest))
-        return _check(merged, model_words)  # type: ignore[arg-type]
+        given = parse_overrides(rest)
+        special = special_settings([groups, chosen, given])
+        return _check(merge(base, given), special, model_words)
     except OmegaConfBaseException as error:
-        raise SettingsError(f"{_first_line(error)}; write a plain value.") from error
+        raise SettingsError(f"{first_line(error)}; write a plain value.") from error
 
 
-@cache
-def _compose(profile: str) -> DictConfig:
-    """The files of conf/ joined with a profile; not to be changed by the caller."""
-    groups = [
-        f"+{group}=[{','.join(_names(group))}]" for group in ("dataset", "algorithm", "model")
-    ]
-    try:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            # The groups come first, so that the profile's budgets win over their defaults.
-            base = compose("groups", overrides=groups)
-            chosen = compose("config", overrides=[f"profile={profile}"])
-            OmegaConf.set_struct(base, False)
-            merged = OmegaConf.merge(base, chosen)
-            OmegaConf.set_struct(merged, True)
-            return merged  # type: ignore[return-value]
-    except (HydraException, OmegaConfBaseException) as error:
-        raise SettingsError(_first_line(error)) from error
-
-
-def _parse(overrides: Sequence[str]) -> DictConfig:
-    """Values of overrides by Hydra's grammar, as a nested configuration."""
-    parsed = OmegaConf.create({})
-    parser = OverridesParser.create()
-    for word in overrides:
-        try:
-            override = parser.parse_override(word)
-        except HydraException as error:
-            raise SettingsError(
-                f"{word!r} cannot be read; write key=value with lists as [a,b]."
-            ) from error
-        if override.is_sweep_override():
-            raise SettingsError(
-                f"{override.input_line!r} lists values without brackets; write "
-                f"{override.key_or_group}=[...]."
-            )
-        OmegaConf.update(parsed, override.key_or_group, override.value(), force_add=True)
-    return parsed
-
-
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
-
-
-def _check_keys(overrides: Sequence[str], base: DictConfig) -> None:
-    """Name the valid siblings of the first unknown key."""
-    for word in overrides:
-        if word.startswith("dataset."):
-            raise SettingsError(
-                f"{word!r}: dataset names hold dots, so their keys cannot be given here; edit "
-                "conf/dataset, or select with datasets=[...]."
-            )
-        node: Any = base
-        walked: list[str] = []
-        for part in word.partition("=")[0].split("."):
-            if not isinstance(node, DictConfig) or part not in node:
-                valid = sorted(map(str, node)) if isinstance(node, DictConfig) else []
-                place = f" in {'.'.join(walked)}" if walked else ""
-                listing = f"; valid keys{place}: {', '.join(valid)}" if valid else ""
-                unknown = ".".join([*walked, part])
-                raise SettingsError(f"Unknown key {unknown!r}{listing}.{_hint(part, valid)}")
-            node = node[part]
-            walked.append(part)
-
-
-def _check(config: DictConfig, model_words: Mapping[str, str]) -> Settings:
+def _check(
+    config: DictConfig, special: Mapping[str, Mapping[str, Any]], model_words: Mapping[str, str]
+) -> Settings:
     values: Any = OmegaConf.to_container(config, resolve=True)
     values["model_words"] = dict(model_words)
-    for group in ("dataset", "algorithm", "model"):
+    for group in GROUPS:
         check_group(group, values[group])
+    del values["domain"]
     if values["store"] == "":
         raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
-    values["datasets"] = _select("dataset", values["datasets"])
-    values["algorithms"] = _select("algorithm", values["algorithms"])
-    seeds = values["seeds"] if isinstance(values["seeds"], list) else [values["seeds"]]
-    if not seeds or len(set(map(str, seeds))) != len(seeds):
-        raise SettingsError(f"seeds={seeds} must be a list of different whole numbers.")
-    if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in seeds):
-        raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
-    values["seeds"] = seeds
+    for group in ("dataset", "algorithm"):
+        values[f"{group}s"] = _select(group, values[f"{group}s"], names_in(group))
+    values["seeds"] = _seeds(values["seeds"])
     try:
         data = build_config(DataSettings, "data", values["data"])
         sizes = {"trajectories": data.trajectories, "steps": data.steps}
         values["dataset"] = {
-            name: build_config(DatasetSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
-            for name, fields in values["dataset"].items()
+            name: build_config(IndustrialSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
+            for name, fields in _of_specs(values["dataset"])
         }
-        for group, known in (("algorithm", _algorithm_configs()), ("model", _model_configs())):
+        kinds = {"algorithm": _algorithm_configs(), "model": _model_configs()}
+        for group, known in kinds.items():
             values[group] = {
                 name: build_config(known[name], f"{group}.{name}", fields)
                 for name, fields in values[group].items()
             }
+        values["special"] = {
+            dataset: _special_configs(kinds, dataset, own) for dataset, own in special.items()
+        }
         sections = (
             ("training", TrainingSettings),
             ("evaluation", EvaluationSettings),
@@ -223,9 +178,14 @@ def _check(config: DictConfig, model_words: Mapping[str, str]) -> Settings:
             ("runner", RunnerSettings),
             ("models", ModelsSettings),
             ("tuning", TuningSettings),
+            ("experts", ExpertsSettings),
         )
         check_group("tuning", values["tuning"])
-        values["tuning"]["models"] = _select("model", values["tuning"].get("models"))
+        values["tuning"]["models"] = _select(
+            "model", values["tuning"].get("models"), names_in("model")
+        )
+        check_group("experts", values["experts"])
+        values["experts"] = _experts(values["experts"])
         values |= {name: build_config(kind, name, values[name]) for name, kind in sections}
         values["data"] = data
         values["variants"] = _variants(values)
@@ -237,6 +197,38 @@ def _check(config: DictConfig, model_words: Mapping[str, str]) -> Settings:
         raise SettingsError(str(error)) from error
     _check_snapshots(settings)
     return settings
+
+
+def _of_specs(datasets: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """What datasets are made of, without what they say about algorithms and models."""
+    for name, fields in datasets.items():
+        check_group(f"dataset.{name}", fields)
+        yield name, {k: v for k, v in fields.items() if k not in ("domain", "algorithm", "model")}
+
+
+def _special_configs(
+    kinds: Mapping[str, Mapping[str, type]], dataset: str, own: Mapping[str, Any]
+) -> dict[str, dict[str, Any]]:
+    """Configuration objects of one dataset's own settings."""
+
+    def built(group: str, path: str, fields: Mapping[str, Any]) -> dict[str, Any]:
+        for name in fields:
+            if name not in kinds[group]:
+                valid = sorted(kinds[group])
+                raise SettingsError(
+                    f"{path}.{name}: unknown {group}; valid ones are {', '.join(valid)}."
+                    + hint(name, valid)
+                )
+        return {
+            name: build_config(kinds[group][name], f"{path}.{name}", value)
+            for name, value in fields.items()
+        }
+
+    found = {group: built(group, f"{dataset}: {group}", own[group]) for group in kinds}
+    wanted = own["model_for"]
+    return found | {
+        "model_for": {a: built("model", f"{dataset}: model_for.{a}", wanted[a]) for a in wanted}
+    }
 
 
 def _algorithm_configs() -> Mapping[str, type]:
@@ -273,8 +265,8 @@ def _variants(values: dict[str, Any]) -> dict[str, tuple[str, tuple[float, ...]]
 
 
 def _check_snapshots(settings: Settings) -> None:
-    for name in settings.algorithms:
-        updates = settings.algorithm[name].updates
+    for dataset, name in product(settings.datasets, settings.algorithms):
+        updates = settings.algorithm_on(dataset, name).updates
         if updates < settings.training.snapshots:
             raise SettingsError(
                 f"algorithm.{name}.updates={updates} is less than training.snapshots="
@@ -282,8 +274,26 @@ def _check_snapshots(settings: Settings) -> None:
             )
 
 
-def _select(group: str, chosen: Any) -> list[str]:
-    valid = _names(group)
+def _experts(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The section of the experts with its names, seeds and training checked."""
+    return {
+        **values,
+        "robots": _select("robot", values.get("robots"), list(ROBOTS)),
+        "seeds": _seeds(values.get("seeds")),
+        "training": build_config(ExpertConfig, "experts.training", values.get("training")),
+    }
+
+
+def _seeds(chosen: Any) -> list[int]:
+    seeds = chosen if isinstance(chosen, list) else [chosen]
+    if not seeds or len(set(map(str, seeds))) != len(seeds):
+        raise SettingsError(f"seeds={seeds} must be a list of different whole numbers.")
+    if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in seeds):
+        raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
+    return seeds
+
+
+def _select(group: str, chosen: Any, valid: list[str]) -> list[str]:
     if chosen == "all":
         return valid
     names = [str(name) for name in (chosen if isinstance(chosen, list) else [chosen])]
@@ -293,7 +303,7 @@ def _select(group: str, chosen: Any) -> list[str]:
         if name not in valid:
             raise SettingsError(
                 f"Unknown {group} {name!r}; valid ones are {', '.join(valid)}, or all."
-                + _hint(name, valid)
+                + hint(name, valid)
             )
     if len(set(names)) != len(names):
         raise SettingsError(f"{group}s={names} names one twice.")

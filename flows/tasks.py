@@ -18,7 +18,7 @@ from components.aggregation.statistics import pool_policies, summarise
 from components.algorithms import ALGORITHMS
 from components.algorithms.base import Ingredients
 from components.algorithms.train import train_policies
-from components.data.catalogue import DatasetSpec, generate
+from components.data.catalogue import generate, spec_kind
 from components.data.lanes import LaneData
 from components.evaluation.real import EvaluationConfig, evaluate_policies
 from components.models import MODELS
@@ -65,7 +65,7 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
 def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
     """Data generation: `dataset/` holds the arrays and the card."""
     for job in jobs:
-        dataset = generate(DatasetSpec(**job.config["spec"]), job.config["seed"])
+        dataset = generate(spec_kind(job.config["spec"])(**job.config["spec"]), job.config["seed"])
         dataset.write(job.out / "dataset")
         card = dataset.card
         write_numbers(

@@ -60,7 +60,9 @@ def subjects(settings: Settings) -> list[Subject]:
         def node(config: object) -> Node:
             return model_node(model, config, dataset, data[dataset])
 
-        return Subject(dataset, model, settings.model[model], SPACES[model], data[dataset], node)
+        return Subject(
+            dataset, model, settings.model_on(dataset, model), SPACES[model], data[dataset], node
+        )
 
     return [subject(d, m) for d in settings.datasets for m in settings.tuning.models]
 

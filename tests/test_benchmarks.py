@@ -15,19 +15,24 @@ from benchmarks import __main__ as all_benchmarks
 from benchmarks import (
     ensemble_quality,
     environment,
+    experts,
     lanes,
     measure,
     model_free,
     peer_d3rlpy,
     pipeline,
     recurrent,
+    robots,
     wsbc,
 )
 from components.algorithms import ALGORITHMS
 from components.algorithms import wsbc as wsbc_learner
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
+from components.data.experts.online import ExpertConfig
 from components.data.lanes import LaneData
+from components.environments import HOPPER_ID
+from components.evaluation.real import EvaluationConfig
 from components.models.recurrent_ensemble import RecurrentEnsembleConfig
 from components.models.rollout import MachineRule
 from components.networks import LaneStreams
@@ -55,6 +60,24 @@ def test_environment_benchmark_prints_a_table(
     copies = [line.split("|")[2].strip() for line in lines[2:9]]
     assert copies == ["1", "1", "1", "10", "20", "100", "200"]
     assert "NumPy" in lines[-1]
+
+
+def test_robots_table() -> None:
+    header, *rows = cells(robots.report(copies=3, episodes=2, repetitions=1))
+    assert header[0] == "robot"
+    assert [row[0] for row in rows[::3]] == ["Swimmer-v0", "Hopper-v0", "Walker2d-v0"]
+    assert [row[3] for row in rows[::3]] == ["1.0"] * 3
+
+
+def test_both_sides_of_the_robots_benchmark_earn_the_same() -> None:
+    policy = robots.untrained_policy(HOPPER_ID, hidden=(8,))
+    config = EvaluationConfig(trajectories=4, horizon=60, discount=0.99)
+    plain, steps = robots.plain_returns(policy, HOPPER_ID, 4, config)
+    together = robots.evaluated(policy, HOPPER_ID, config, threads=2).returns[0, 0]
+    # float32 sums in another order, over up to sixty steps of contact
+    np.testing.assert_allclose(together, plain, rtol=1e-3)
+    assert steps < 4 * 60, "some episodes end in a fall"
+    assert robots._steps(policy, HOPPER_ID, config) == steps
 
 
 def test_the_runs_of_a_comparison_take_turns() -> None:
@@ -88,6 +111,48 @@ def test_both_sides_of_the_lanes_benchmark_do_the_same_work(algorithm: str) -> N
     for name, value in single.items():
         # The same float32 sums in another order, after two updates.
         torch.testing.assert_close(stacked[name][3:4], value, rtol=1e-4, atol=1e-5)
+
+
+def test_experts_table_relates_seed_updates_to_those_of_one_eager_seed() -> None:
+    header, *rows = cells(experts.report(repetitions=1, steps=2, hidden=(8,)))
+    assert header == ["robot", "program", "updates/s", "seed-updates/s", "times"]
+    programs = ["eager, 1 seed", "ours, 1 lane", "ours, 4 lanes"]
+    assert [row[:2] for row in rows] == [["swimmer", program] for program in programs]
+    assert rows[0][4] == "1.00"
+
+
+def test_the_eager_peer_of_the_experts_computes_the_same_update(tmp_path: Path) -> None:
+    settings = ExpertConfig(
+        steps=60, random_steps=50, evaluate_every=60, hidden=(8, 6), batch=20, target_rate=0.1
+    )
+    ours = experts.lanes_program(settings, "swimmer", [0], tmp_path)
+    eager = experts.EagerDDPG(settings, "swimmer", 0)
+    for step in range(50):
+        ours.update(step)
+        eager.step()
+    assert eager.count == 50
+    learner = ours._ddpg
+    pairs = (
+        (eager.actor, learner._actor),
+        (eager.critic, learner._critic.stack),
+        (eager.actor_target, learner._actor_target),
+        (eager.critic_target, learner._critic_target.stack),
+    )
+    with torch.no_grad():
+        for plain, stack in pairs:
+            for layer, (weight, bias) in zip(plain[::2], stack.affine(), strict=True):
+                layer.weight.copy_(weight[0].T)
+                layer.bias.copy_(bias[0, 0])
+    for _ in range(3):
+        batch = ours._replay.batch(torch.randint(50, (1, settings.batch)))
+        learner.learn(batch)
+        moved = (batch.observations, batch.actions, batch.rewards, batch.next_observations)
+        eager.update(*(part[0] for part in moved), 1.0 - batch.continues[0])
+    for plain, stack in pairs:
+        for layer, (weight, bias) in zip(plain[::2], stack.affine(), strict=True):
+            # three Adam steps of 1e-3 in float32
+            torch.testing.assert_close(layer.weight, weight[0].T, rtol=1e-3, atol=1e-5)
+            torch.testing.assert_close(layer.bias, bias[0, 0], rtol=1e-3, atol=1e-5)
 
 
 def test_the_plain_recurrent_loop_computes_what_the_stacked_scan_does() -> None:
@@ -280,10 +345,12 @@ def test_all_benchmarks_are_printed_under_their_titles(
 ) -> None:
     modules = (
         environment,
+        robots,
         lanes,
         recurrent,
         ensemble_quality,
         wsbc,
+        experts,
         pipeline,
         *[model_free] * beside,
     )

@@ -12,7 +12,9 @@ Lillicrap et al., "Continuous Control with Deep Reinforcement Learning" (2016), 
 References disagree on sizes; taken are OurDDPG's since 2021 (two layers of 256, Adam 3e-4, batch
 256), which are those of TD3+BC without its tricks. Offline nothing corrects the values of actions
 that were never logged, so they grow without bound and the actor leaves the data for the bounds of
-the action box. That is the method's result here: neither values nor gradients are clipped.
+the action box. That is the method's result here: neither values nor gradients are clipped. The same
+update, :class:`ActorCritic`, trains online the experts that log the robot datasets
+(:mod:`components.data.experts`); no learner sees that.
 
 Deviations: frames are standardised (the raw frames of the Industrial Benchmark are far from unit
 scale). The end of a logged trajectory is a time-out and is bootstrapped through. gamma and the
@@ -20,6 +22,7 @@ budget of 10,000 updates are the thesis's (5.1.2).
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -37,7 +40,15 @@ from components.networks import (
 )
 from components.networks.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = [
+    "FRAME_EPSILON",
+    "NEEDS",
+    "TAKES_LAMBDA",
+    "VERSION",
+    "ActorCritic",
+    "Config",
+    "Learner",
+]
 
 VERSION = 1
 NEEDS: tuple[str, ...] = ()
@@ -70,18 +81,30 @@ class Config:
             raise ValueError("learning_rate must be positive.")
 
 
-class Learner(StackedLearner):
-    """A stack of DDPG learners, one lane per (dataset, seed)."""
+class ActorCritic(StackedLearner):
+    """Networks, optimisers and the update of L learners, wherever the transitions come from.
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
-        self._config, self._data = config, parts.data
-        data, device = parts.data, parts.data.device
-        self.lanes = data.lanes
-        sizes = (data.observation_width, *config.hidden, data.action_width)
-        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
-        self._critic = Critics(
-            parts.keys, data.observation_width, data.action_width, config.hidden, count=1
-        ).to(device)
+    Args:
+        config: Settings.
+        keys: One random stream per lane.
+        observations: Width O.
+        actions: Width A.
+        device: Where to learn.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        keys: Sequence[int],
+        observations: int,
+        actions: int,
+        device: torch.device,
+    ) -> None:
+        self._config = config
+        self.lanes = len(keys)
+        sizes = (observations, *config.hidden, actions)
+        self._actor = StackedMLP(spawn_generators(keys, "actor"), sizes).to(device)
+        self._critic = Critics(keys, observations, actions, config.hidden, count=1).to(device)
         self._actor_target = copy.deepcopy(self._actor).requires_grad_(False)
         self._critic_target = copy.deepcopy(self._critic).requires_grad_(False)
         self._networks = {
@@ -92,22 +115,25 @@ class Learner(StackedLearner):
         }
         learned = ("actor", "critic")
         self._optimizers = adam_each(self._networks, dict.fromkeys(learned, config.learning_rate))
-        self._streams = LaneStreams(parts.keys, {"row": data.row_draw(config.batch)}, device)
+
+    @property
+    def actor(self) -> StackedMLP:
+        """The networks whose tanh acts."""
+        return self._actor
 
     # -- losses -----------------------------------------------------------------------------
 
     @torch.no_grad()
     def _targets(self, batch: Batch) -> Tensor:
-        """Bootstrapped values ``[L, B]`` of the logged transitions."""
+        """Bootstrapped values ``[L, B]`` of transitions."""
         actions = torch.tanh(self._actor_target(batch.next_observations))
         values = self._critic_target.first(batch.next_observations, actions)
         return batch.rewards + self._config.discount * batch.continues * values
 
     # -- update -----------------------------------------------------------------------------
 
-    def update(self, step: int) -> dict[str, Tensor]:
+    def learn(self, batch: Batch) -> dict[str, Tensor]:
         """One update of critic, actor and targets on all lanes."""
-        batch = self._data.batch(self._streams.at(step)["row"])
         targets = self._targets(batch)
         critic_loss = self._critic.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critic"], critic_loss)
@@ -124,6 +150,20 @@ class Learner(StackedLearner):
             "actor/loss": actor_loss.detach(),
             "actor/saturated_share": saturation(actions),
         }
+
+
+class Learner(ActorCritic):
+    """A stack of DDPG learners on logged data, one lane per (dataset, seed)."""
+
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        self._data = data = parts.data
+        super().__init__(config, parts.keys, data.observation_width, data.action_width, data.device)
+        draws = {"row": data.row_draw(config.batch)}
+        self._streams = LaneStreams(parts.keys, draws, data.device)
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One update on a batch of logged transitions."""
+        return self.learn(self._data.batch(self._streams.at(step)["row"]))
 
     # -- what is deployed ---------------------------------------------------------------------
 

@@ -41,9 +41,10 @@ def with_absorption(dataset: OfflineDataset, steps: int) -> OfflineDataset:
     frames = np.insert(np.arange(len(dataset.frames)), terminal + 1, terminal)
     longer = np.zeros(dataset.episodes, np.int64)
     longer[ended] = steps
+    card = replace(dataset.card, digest=f"{dataset.card.digest}+{steps}", transitions=len(rows))
     return replace(
         dataset,
-        card=replace(dataset.card, digest=f"{dataset.card.digest}+{steps}"),
+        card=card,
         frames=dataset.frames[frames],
         actions=dataset.actions[rows],
         rewards=np.where(added, np.float32(0.0), dataset.rewards[rows]),

@@ -1,161 +1,65 @@
-"""The sixteen Industrial Benchmark datasets, by name.
+"""All datasets by name: sixteen of the Industrial Benchmark, three of robots."""
 
-Source: thesis section 3.1.1. Three controllers, five amounts of exploration each, and one dataset
-of exploration alone, which is the same for all three and is called mediocre-1.0 here (global-1.0
-by its authors). Names are those of the thesis's tables.
-"""
-
-import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final, Protocol
 
-import numpy as np
+from components.data.dataset import OfflineDataset
+from components.data.industrial import INDUSTRIAL_DATASETS, IndustrialSpec
+from components.data.robots import ROBOT_DATASETS, RobotSpec
 
-from components.data.collection import Log, collect
-from components.data.controllers import CONTROLLERS
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
-from components.data.returns import window_returns
-from components.environments.frame_history import HISTORY_LENGTH
-from components.environments.industrial_benchmark import FRAME_FEATURES, MACHINE, STEERINGS
-
-__all__ = ["DATASETS", "RETURN_STEPS", "DatasetSpec", "dataset_from_log", "generate"]
-
-RETURN_STEPS: Final = 100
-"""Horizon of the benchmark's returns."""
-
-_ENVIRONMENT = "proximity/IndustrialBenchmark-v0"
+__all__ = ["DATASETS", "DatasetSpec", "generate", "spec_kind"]
 
 
-@dataclass(frozen=True)
-class DatasetSpec:
-    """What a dataset is made of.
+class DatasetSpec(Protocol):
+    """What a dataset is made of; a frozen dataclass, so that its fields identify it."""
 
-    Attributes:
-        name: part of the random stream's identity.
-        controller: one of `CONTROLLERS`.
-        epsilon: chance per step of a whole random action vector, 0 ... 1.
-        setpoint: of the machine, 0 ... 100.
-        trajectories: number of episodes.
-        steps: transitions per episode.
-        discount: of the returns on the card.
+    @property
+    def name(self) -> str:
+        """Of the dataset."""
 
-    Raises:
-        ValueError: a value outside its range.
-    """
+    @property
+    def discount(self) -> float:
+        """Of the returns on the card."""
 
-    name: str
-    controller: str
-    epsilon: float
-    setpoint: float = 70.0
-    trajectories: int = 100
-    steps: int = 1000
-    discount: float = 0.97
+    @property
+    def environment(self) -> str:
+        """Gymnasium id of the system it is logged on, and that judges what is learned from it."""
 
-    def __post_init__(self) -> None:
-        if self.controller not in CONTROLLERS:
-            known = ", ".join(CONTROLLERS)
-            raise ValueError(f"unknown controller {self.controller!r}; known are {known}.")
-        if not 0.0 <= self.epsilon <= 1.0:
-            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
-        if not 0.0 <= self.setpoint <= 100.0:
-            raise ValueError(f"setpoint is {self.setpoint}; give a number from 0 to 100.")
-        if self.trajectories < 1 or self.steps < 1:
-            raise ValueError(
-                f"{self.trajectories} trajectories of {self.steps} steps make no dataset; "
-                "both must be at least 1."
-            )
-        if not 0.0 < self.discount <= 1.0:
-            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
+    @property
+    def environment_parameters(self) -> Mapping[str, Any]:
+        """The system's parameters."""
+
+    @property
+    def ingredients(self) -> Mapping[str, str]:
+        """Digests of stored things that it is made with; they identify it beside its fields."""
+
+    def generate(self, seed: int) -> OfflineDataset:
+        """Make the dataset; the same bytes for the same specification, ingredients and seed."""
 
 
-def _catalogue() -> dict[str, DatasetSpec]:
-    pairs = [(controller, tenths) for controller in CONTROLLERS for tenths in (0, 2, 4, 6, 8)]
-    pairs.insert(pairs.index(("mediocre", 8)) + 1, ("mediocre", 10))
-    specs = [DatasetSpec(f"{c}-{tenths / 10}", c, tenths / 10) for c, tenths in pairs]
-    return {spec.name: spec for spec in specs}
+DATASETS: Final[Mapping[str, DatasetSpec]] = MappingProxyType(
+    {**INDUSTRIAL_DATASETS, **ROBOT_DATASETS}
+)
+"""The nineteen datasets of the thesis's tables."""
 
 
-DATASETS: Final[Mapping[str, DatasetSpec]] = MappingProxyType(_catalogue())
-"""The sixteen datasets in the order bad, mediocre, optimized, each by growing epsilon."""
-
-
-def _generators(name: str, seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Generators of noise and exploration, a function of name and seed alone."""
-    digest = hashlib.sha256(f"industrial-benchmark dataset {name} seed {seed}".encode()).digest()
-    sequence = np.random.SeedSequence(int.from_bytes(digest, "little"))
-    noise, exploration = (np.random.Generator(np.random.PCG64(s)) for s in sequence.spawn(2))
-    return noise, exploration
+def spec_kind(fields: Mapping[str, Any]) -> type[IndustrialSpec] | type[RobotSpec]:
+    """The class that plain fields, such as those of a configuration file, describe."""
+    return RobotSpec if "robot" in fields else IndustrialSpec
 
 
 def generate(spec: DatasetSpec, seed: int) -> OfflineDataset:
-    """Make a dataset; the same bytes for the same specification and seed.
+    """Make a dataset; the same bytes for the same specification, ingredients and seed.
 
     Args:
         spec: what to make, from `DATASETS` or a variation of it.
         seed: a whole number from 0.
 
     Raises:
-        ValueError: a negative seed.
+        FileNotFoundError: an ingredient is missing.
+        ValueError: a negative seed, or a damaged ingredient.
     """
     if seed < 0:
         raise ValueError(f"seed is {seed}; give a whole number from 0.")
-    noise, exploration = _generators(spec.name, seed)
-    log = collect(
-        CONTROLLERS[spec.controller],
-        epsilon=spec.epsilon,
-        setpoint=spec.setpoint,
-        trajectories=spec.trajectories,
-        steps=spec.steps,
-        noise=noise,
-        exploration=exploration,
-    )
-    return dataset_from_log(log, spec, seed)
-
-
-def dataset_from_log(log: Log, spec: DatasetSpec, seed: int) -> OfflineDataset:
-    """Flatten a log and write its card."""
-    e, t = log.rewards.shape
-    truncated = np.zeros((e, t), dtype=np.bool_)
-    truncated[:, -1] = True
-    arrays = {
-        "frames": log.frames.reshape(e * (t + 1), -1),
-        "actions": log.actions.reshape(e * t, -1),
-        "rewards": log.rewards.reshape(e * t),
-        "terminated": np.zeros(e * t, dtype=np.bool_),
-        "truncated": truncated.reshape(e * t),
-        "episode_starts": np.arange(e + 1, dtype=np.int64) * t,
-    }
-    return_steps = min(RETURN_STEPS, t)
-    returns = window_returns(log.rewards, spec.discount, return_steps)
-    card = DatasetCard(
-        name=spec.name,
-        environment=_ENVIRONMENT,
-        environment_parameters={"setpoint": spec.setpoint},
-        controller=spec.controller,
-        epsilon=spec.epsilon,
-        seed=seed,
-        trajectories=e,
-        steps=t,
-        discount=spec.discount,
-        history=HISTORY_LENGTH,
-        frame_features=FRAME_FEATURES,
-        action_features=STEERINGS,
-        machine=MACHINE,
-        return_steps=return_steps,
-        first_window_return_mean=float(returns[:, 0].mean()),
-        first_window_return_min=float(returns[:, 0].min()),
-        first_window_return_max=float(returns[:, 0].max()),
-        all_windows_return_mean=float(returns.mean()),
-        digest=array_digest(arrays),
-    )
-    return OfflineDataset(
-        card=card,
-        frames=arrays["frames"],
-        actions=arrays["actions"],
-        rewards=arrays["rewards"],
-        terminated=arrays["terminated"],
-        truncated=arrays["truncated"],
-        episode_starts=arrays["episode_starts"],
-    )
+    return spec.generate(seed)

@@ -27,6 +27,10 @@ __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "c
 
 FORMAT_VERSION: Final = 1
 _CARD = "card.json"
+_EARLIER: Final[Mapping[str, Any]] = MappingProxyType(
+    {"controller_digest": "", "noise": 0.0, "simulator": ""}
+)
+"""Fields that cards of the same format did not have at first, and what these cards mean by it."""
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "frames": "<f4",
@@ -56,10 +60,13 @@ class DatasetCard:
         environment: Gymnasium id of the system it was logged on.
         environment_parameters: its parameters, e.g. {"setpoint": 70.0}.
         controller: name of the controller that logged it.
+        controller_digest: of its weights, where it is a trained policy; empty for a formula.
         epsilon: chance per step of a whole random action vector.
+        noise: deviation of the Gaussian noise on the controller's own actions, before clipping.
         seed: of the generation; the random stream depends on name and seed alone.
         trajectories: number of episodes.
-        steps: transitions per episode.
+        steps: transitions of the longest episode.
+        transitions: of all episodes together.
         discount: per step, of all returns below.
         history: frames in an observation, newest first.
         frame_features: names of the values of a frame.
@@ -68,7 +75,8 @@ class DatasetCard:
             (`features`, whose last ones follow the actions, and what these `keep`, `scale`, `low`
             and `high`), `learned` (features to be predicted) and `reward` (weights of these);
             optionally `healthy` (ranges of frame features outside of which it has fallen).
-        return_steps: window length of all returns below.
+        simulator: name and version of the physics engine; empty where it is this package.
+        return_steps: window length of all returns below; after a terminal state rewards are 0.
         first_window_return_mean: mean over episodes of the return of the first window, the
             performance of the logging controller under the benchmark's protocol.
         first_window_return_min: the least of them.
@@ -82,12 +90,13 @@ class DatasetCard:
 
     name: str
     environment: str
-    environment_parameters: Mapping[str, float]
+    environment_parameters: Mapping[str, Any]
     controller: str
     epsilon: float
     seed: int
     trajectories: int
     steps: int
+    transitions: int
     discount: float
     history: int
     frame_features: tuple[str, ...]
@@ -99,6 +108,9 @@ class DatasetCard:
     first_window_return_max: float
     all_windows_return_mean: float
     digest: str
+    controller_digest: str = ""
+    noise: float = 0.0
+    simulator: str = ""
     code_version: str = field(default_factory=code_version)
     format_version: int = FORMAT_VERSION
 
@@ -128,9 +140,11 @@ class DatasetCard:
                 f"the dataset has format version {version!r} and this code reads version "
                 f"{FORMAT_VERSION}; generate the dataset again."
             )
-        names = {f.name for f in fields(cls)}
-        wrong = sorted(names.symmetric_difference(values))
-        if wrong:
+        values = {**_EARLIER, **values}
+        wrong = sorted({f.name for f in fields(cls)}.symmetric_difference(values))
+        if wrong == ["transitions"]:  # on cards of before, all episodes were as long
+            values["transitions"] = values["trajectories"] * values["steps"]
+        elif wrong:
             raise ValueError(
                 f"the dataset card has missing or unknown fields ({', '.join(wrong)}); "
                 "generate the dataset again."
@@ -282,7 +296,7 @@ class OfflineDataset:
 
 
 def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
-    n, e = dataset.transitions, dataset.episodes
+    n, e = dataset.card.transitions, dataset.card.trajectories
     features, actions = len(dataset.card.frame_features), len(dataset.card.action_features)
     expected: dict[str, tuple[int, ...]] = {
         "frames": (n + e, features),
@@ -290,7 +304,7 @@ def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
         "rewards": (n,),
         "terminated": (n,),
         "truncated": (n,),
-        "episode_starts": (dataset.card.trajectories + 1,),
+        "episode_starts": (e + 1,),
     }
     for name, shape in expected.items():
         found = getattr(dataset, name).shape

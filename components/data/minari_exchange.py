@@ -4,12 +4,12 @@ A Minari episode holds T + 1 observations for T actions: observation t, action t
 observation t + 1 belong together, and the last observation is the one after the last action.
 Tools that drop the `+ 1` shift every later episode; the tests check the alignment both ways.
 
-Exported observations are single frames (6 values). The environment in the dataset's description
-is this project's, made with `history=1`, so that it has exactly these observations;
-`recover_environment()` works wherever this package is installed. Whoever wants the benchmark's
-observation stacks the last 30 frames, newest first, repeating the episode's first frame where
-there are fewer (the description says so), or exports with `stacked=True`: the same transitions with
-180 values each, ready for tools that know no histories.
+Exported observations are single frames. The environment in the dataset's description is this
+project's, made so that it has exactly these observations; `recover_environment()` works wherever
+this package is installed. Where the benchmark's observation is a history, whoever wants it stacks
+the last frames, newest first, repeating the episode's first frame where there are fewer (the
+description says so), or exports with `stacked=True`: the same transitions with whole histories
+(180 values on the Industrial Benchmark), ready for tools that know none.
 
 Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
 """
@@ -74,7 +74,7 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
                 dataset_id,
                 list(_episodes(dataset, history)),
                 env=_environment_spec(card, history),
-                algorithm_name=f"{card.controller} controller, epsilon {card.epsilon}",
+                algorithm_name=_controller(card),
                 author="proximity-bench",
                 description=_description(card, stacked),
                 requirements=["proximity-bench"],
@@ -162,12 +162,19 @@ def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
 
 
 def _environment_spec(card: DatasetCard, history: int) -> Any:
-    parameters: dict[str, Any] = {**card.environment_parameters, "history": history}
+    parameters = dict(card.environment_parameters)
+    if card.history > 1:  # systems that are observed frame by frame do not know the word
+        parameters["history"] = history
     environment = gym.make(card.environment, max_episode_steps=card.steps, **parameters)
     try:
         return environment.spec
     finally:
         environment.close()
+
+
+def _controller(card: DatasetCard) -> str:
+    noise = f" and Gaussian noise of {card.noise:g} on its own" if card.noise else ""
+    return f"{card.controller} controller with {card.epsilon:.0%} random actions{noise}"
 
 
 def _description(card: DatasetCard, stacked: bool) -> str:
@@ -179,17 +186,22 @@ def _description(card: DatasetCard, stacked: bool) -> str:
             "first, flattened frame by frame."
         )
     else:
-        what = (
-            f"An observation is one frame of {width} values ({frame}). The benchmark's observation "
-            f"is the last {card.history} frames, newest first, with the episode's first frame in "
-            "the place of missing ones."
+        what = f"An observation is one frame of {width} values ({frame})."
+    if card.history > 1 and not stacked:
+        what += (
+            f" The benchmark's observation is the last {card.history} frames, newest first, with "
+            "the episode's first frame in the place of missing ones."
         )
+    weights: dict[str, float] = card.machine["reward"]
+    reward = "the system's own"
+    if set(weights) <= set(card.frame_features):
+        terms = " + ".join(f"({weight:g}) {name}" for name, weight in weights.items())
+        reward = f"{terms} of the frame after the action"
     return (
-        f"{card.name}: the Industrial Benchmark at {dict(card.environment_parameters)}, logged by "
-        f"the {card.controller} controller with {card.epsilon:.0%} random actions. {what} An "
-        f"action is the wanted change of {', '.join(card.action_features)}. The reward is "
-        "-(3 fatigue + consumption) / 100 of the state after the action. The end of an episode is "
-        "a time-out, not a terminal state."
+        f"{card.name}: {card.environment} at {dict(card.environment_parameters)}, logged by the "
+        f"{_controller(card)}. {what} An action holds {', '.join(card.action_features)}, each in "
+        f"[-1, 1]. The reward is {reward}. An episode that is truncated was cut by time, which is "
+        "no terminal state."
     )
 
 

@@ -1,14 +1,17 @@
 """Copies of a real system stepped together: what collection and evaluation need of one."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from components.environments import INDUSTRIAL_BENCHMARK_ID
+from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.industrial_benchmark import IndustrialBenchmark
+from components.environments.robot_specs import HOPPER, SWIMMER, WALKER2D
+from components.environments.robots import Robots
 
 __all__ = ["BatchEnvironment", "make_batch"]
 
@@ -16,20 +19,48 @@ __all__ = ["BatchEnvironment", "make_batch"]
 class BatchEnvironment(Protocol):
     """N copies of one system."""
 
+    @property
+    def frame_features(self) -> tuple[str, ...]:
+        """Names of the F values of a frame."""
+
+    @property
+    def action_features(self) -> tuple[str, ...]:
+        """Names of the A values of an action, each in [-1, 1]."""
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """`[N]` whose state after the last step is an end, such as a fall."""
+
     def reset(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Start all copies; returns the first frames `[N, F]`."""
+
+    def reset_copies(
+        self, copies: NDArray[np.bool_], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Start the masked copies `[N]` again; returns their first frames `[copies.sum(), F]`."""
 
     def step(self, actions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Act with `[N, A]`; returns frames `[N, F]` and rewards `[N]`."""
 
 
 _MAKERS: Final[Mapping[str, Callable[..., BatchEnvironment]]] = MappingProxyType(
-    {INDUSTRIAL_BENCHMARK_ID: IndustrialBenchmark}
+    {
+        INDUSTRIAL_BENCHMARK_ID: IndustrialBenchmark,
+        SWIMMER_ID: partial(Robots, SWIMMER),
+        HOPPER_ID: partial(Robots, HOPPER),
+        WALKER2D_ID: partial(Robots, WALKER2D),
+    }
 )
 
 
 def make_batch(environment: str, copies: int, **parameters: Any) -> BatchEnvironment:
     """N copies of the system with this Gymnasium id.
+
+    Args:
+        environment: the id.
+        copies: N.
+        parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` and `threads`
+            of a robot.
 
     Raises:
         ValueError: If the id is unknown.

@@ -71,6 +71,11 @@ class IndustrialBenchmark:
         copies: number of copies N.
         setpoint: load demanded from the machine, 0 ... 100.
 
+    Attributes:
+        frame_features: `FRAME_FEATURES`.
+        action_features: `STEERINGS`.
+        terminated: `[N]` all false: the machine never terminates.
+
     Raises:
         ValueError: a copy count below one or a setpoint outside 0 ... 100.
     """
@@ -82,6 +87,9 @@ class IndustrialBenchmark:
             raise ValueError(f"setpoint is {setpoint}; give a number from 0 to 100.")
         self.copies = copies
         self.setpoint = float(setpoint)
+        self.frame_features = FRAME_FEATURES
+        self.action_features = STEERINGS
+        self.terminated = np.zeros(copies, dtype=np.bool_)
         self._tables = GoldstoneTables.build()
         self._effective_constants()
         # row k: the weights of the cost ring when its oldest entry sits in row k

@@ -3,7 +3,8 @@
 All snapshots, all lambdas and all repetitions of a policy run as copies of one vectorised
 environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
 own environment and its own random stream, so its numbers do not depend on what is evaluated beside
-it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start.
+it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start. A termination is
+absorbing: the reward of the step that ends in it counts, all later ones are zero.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -61,7 +62,7 @@ class PolicyReturns:
         lambdas: The grid, or a single NaN for policies without lambda.
         returns: ``[S, lambdas, trajectories]`` discounted returns.
         distances: ``[S, lambdas]`` mean Euclidean distance to the behaviour policy's action over
-            all visited states.
+            all visited states, a terminal one and what follows it excluded.
     """
 
     lambdas: npt.NDArray[np.float64]
@@ -110,7 +111,8 @@ def evaluate_policies(
     shape = (len(policies), snapshots * per_policy)
     noises = [lane_generator(lane_key(key, "candidates")) for key in keys]
     drawn = (snapshots, per_policy, actors.card.candidates, actors.card.noise)
-    returns, distance = np.zeros(shape), np.zeros(shape)
+    returns, distance, visited = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    running = np.ones(shape, dtype=np.bool_)
     for t in range(config.horizon):
         windows = torch.from_numpy(np.stack([h.window for h in histories])).float().to(device)
         seen = windows.view(actors.lanes, per_policy, *windows.shape[2:])
@@ -120,16 +122,21 @@ def evaluate_policies(
             noise = torch.from_numpy(np.concatenate(fresh)).to(device)
         actions = actors.act(seen, steering, noise).view(*shape, -1)
         away: Tensor = torch.linalg.vector_norm(actions - clones.act(windows), dim=-1)
-        distance += away.cpu().numpy()
+        np.add(distance, away.cpu().numpy(), out=distance, where=running)
+        visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
         for number, (machine, history) in enumerate(zip(machines, histories, strict=True)):
             frames, rewards = machine.step(chosen[number])
             history.push(frames)
-            returns[number] += config.discount**t * rewards
-        progress((t + 1) / config.horizon)
+            returns[number] += config.discount**t * np.where(running[number], rewards, 0.0)
+            running[number] &= ~machine.terminated
+        over = not running.any()
+        progress(1.0 if over else (t + 1) / config.horizon)
+        if over:
+            break
     by_policy = (len(policies), snapshots, len(grid), repeats)
-    distance = distance.reshape(by_policy).mean(axis=-1) / config.horizon
+    total, states = (array.reshape(by_policy).mean(axis=-1) for array in (distance, visited))
     return [
         PolicyReturns(np.array(grid), r, d)
-        for r, d in zip(returns.reshape(by_policy), distance, strict=True)
+        for r, d in zip(returns.reshape(by_policy), total / states, strict=True)
     ]

@@ -12,16 +12,17 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.trial import Trial, TrialState
 
-from flows.pipeline.errors import LedgerError, PipelineError
+from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors import Executor
 from flows.pipeline.files import locked, read_json
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
-from flows.tuning.ledger import TrialRecord, Trials
-from flows.tuning.study import Study, has_ended
+from flows.tuning.ledger import Trials
+from flows.tuning.notes import TrialNotes
+from flows.tuning.study import Study
 
 __all__ = ["Outcome", "search"]
 
@@ -120,14 +121,13 @@ class _Search:
         self.studies = studies
         self.trials = trials
         self.store = store
-        self.ledger = ledger
         self.executor = executor
         self.notify = notify
         self.finished = finished
         self.outcome = Outcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
-        self.unlogged: list[tuple[Study, int]] = []
+        self.notes = TrialNotes(ledger, store, self._say)
         self.heard = time.monotonic()
 
     def run(self) -> Outcome:
@@ -135,7 +135,7 @@ class _Search:
         for study in self.studies:
             study.recover()
             self._tidy(study)
-        self._catch_up()
+        self.notes.catch_up(self.studies)
         try:
             if any(self._wants(study) for study in self.studies):
                 self.executor.start(self._say, self._look)
@@ -145,7 +145,7 @@ class _Search:
                 for result in self.executor.wait(_TICK):
                     self._settle(result)
                 self._fill()
-                self._remember()
+                self.notes.write()
                 self._close()
                 self._look()
                 self._sign_of_life()
@@ -154,7 +154,8 @@ class _Search:
         finally:
             self.executor.stop()
             with contextlib.suppress(KeyboardInterrupt):
-                self._remember()
+                self.notes.write()
+            self.outcome.unrecorded = self.notes.closed
         for study in self.studies:
             if study.best() is None and not self.outcome.interrupted:
                 self.outcome.failed.append(study.name)
@@ -279,7 +280,7 @@ class _Search:
         leads = f"; best {best.value:.6g} of trial {best.number}" if best else ""
         title = f"{study.subject.dataset} {study.subject.model}"
         self._say(f"{title}: trial {trial.number} ({study.spent} of {self.trials}): {what}{leads}")
-        self.unlogged.append((study, trial.number))
+        self.notes.add(study, trial.number)
 
     def _close(self) -> None:
         """Hand over the studies that have all they shall have."""
@@ -289,49 +290,3 @@ class _Search:
             self.open.remove(study)
             if study.best() is not None:
                 self.finished(study)
-
-    # Remembering
-
-    def _catch_up(self) -> None:
-        """What a killed driver told the study but not the ledger."""
-        for study in self.studies:
-            try:
-                known = self.ledger.recorded(study.name)
-            except LedgerError as error:
-                self._closed(error)
-                return
-            ended = [trial.number for trial in study.trials() if trial.state.is_finished()]
-            self.unlogged += [(study, number) for number in ended if number not in known]
-        self._remember()
-
-    def _remember(self) -> None:
-        while self.unlogged and not self.outcome.unrecorded:
-            study, number = self.unlogged[0]
-            try:
-                self.ledger.log_trial(self._record(study, study.trials()[number]))
-            except LedgerError as error:
-                self._closed(error)
-                return
-            self.unlogged.pop(0)
-
-    def _closed(self, error: LedgerError) -> None:
-        # The studies remember everything, so the next run of the search records what is missing.
-        self.outcome.unrecorded = str(error)
-        self._say(f"{error} The search goes on; the next run of it records what is missing.")
-
-    def _record(self, study: Study, trial: FrozenTrial) -> TrialRecord:
-        node = None
-        with contextlib.suppress(ValueError, KeyError):  # impossible, or interrupted while asked
-            node = study.subject.node_of(trial.params, trial.number)
-        complete = trial.state is TrialState.COMPLETE
-        return TrialRecord(
-            study=study.name,
-            number=trial.number,
-            state=trial.state.name if has_ended(trial) else "INTERRUPTED",
-            drawn=trial.params,
-            loss=trial.value if complete else None,
-            on_the_way=trial.intermediate_values,
-            node=node,
-            folder=self.store.path(node.key) if complete and node is not None else None,
-            reason=trial.user_attrs.get("error", ""),
-        )

@@ -70,6 +70,7 @@ def make_robot_log(
         name=name,
         trajectories=episodes,
         steps=steps,
+        transitions=len(rewards),
         discount=0.99,
         history=1,
         frame_features=FEATURES,

@@ -84,6 +84,7 @@ def make_log(
         seed=seed,
         trajectories=episodes,
         steps=steps,
+        transitions=episodes * steps,
         discount=discount,
         history=history,
         frame_features=FEATURES,

@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
+from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
 from flows import full_benchmark
 from flows.benchmark import benchmark_plan
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
+from flows.render import find_policy, load_render_settings
 from flows.settings import load_settings
 
 WORDS = [
@@ -21,7 +23,9 @@ POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm
 
 def finish(store: ArtifactStore, node: Node, files: dict[str, Any]) -> None:
     folder = store.work / f"made-{node.key}"
-    for name, content in ({"node.json": {"key": node.key}} | files).items():
+    for name, content in (
+        {"node.json": {"key": node.key, "component": node.component}} | files
+    ).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_json(folder / name, content)
     store.publish(folder, node.key)
@@ -41,7 +45,7 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
             finish(store, node, {"summary.json": summary | {"points": points}})
 
     class Card:
-        name, first_window_return_mean = "mediocre-0.2", -2.0
+        name, first_window_return_mean, environment = "mediocre-0.2", -2.0, INDUSTRIAL_BENCHMARK_ID
 
     drawn = []
     monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
@@ -56,3 +60,32 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     assert [row["algorithm"] for row in read] == labels
     assert len({row["mean"] for row in read}) == 3
     assert [summary["algorithm"] for summary in drawn] == ["lion"]
+
+
+def test_the_report_says_how_to_watch_the_policies_of_a_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, store = benchmark_plan(load_settings(WORDS)), ArtifactStore(tmp_path)
+    policies = [node for node in plan if node.component == "policy_training"]
+    for node in plan:
+        if node.component == "data_generation":
+            finish(store, node, {"dataset/card.json": {}})
+        if node.component == "policy_training":
+            finish(store, node, {})
+
+    class Card:
+        name, first_window_return_mean, environment = "mediocre-0.2", 2.0, INDUSTRIAL_BENCHMARK_ID
+
+    monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
+    [_, text], *_ = full_benchmark.write_report(tmp_path / "machine", plan, store)
+    assert "flows.render" not in text.read_text(encoding="utf-8")
+    Card.environment = HOPPER_ID
+    [_, text], *_ = full_benchmark.write_report(tmp_path / "robot", plan, store)
+    lines = [line for line in text.read_text(encoding="utf-8").splitlines() if "watch" in line]
+    assert len(lines) == len(policies) == 3
+    for node, line in zip(policies, lines, strict=True):
+        command = line.split("`")[1].split()
+        assert line.startswith(f"- To watch {node.name.removesuffix('/seed0')}: ")
+        settings = load_render_settings(command[3:])
+        assert find_policy(store, settings.run)["key"] == node.key
+        assert (settings.proximity is not None) == (node.config["algorithm"] == "lion")

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.catalogue import DATASETS, generate
+from components.data.catalogue import generate
 from components.data.dataset import OfflineDataset
+from components.data.industrial import INDUSTRIAL_DATASETS
 from tests.components.algorithms.stacks import learner, run
 from tests.components.synthetic import policy_card
 
@@ -37,7 +38,10 @@ QUICK: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def logs() -> list[OfflineDataset]:
     """The sixteen datasets, short."""
-    specs = [dataclasses.replace(spec, trajectories=4, steps=120) for spec in DATASETS.values()]
+    specs = [
+        dataclasses.replace(spec, trajectories=4, steps=120)
+        for spec in INDUSTRIAL_DATASETS.values()
+    ]
     return [generate(spec, 0) for spec in specs]
 
 

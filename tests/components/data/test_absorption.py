@@ -34,6 +34,7 @@ def test_falls_last_and_time_outs_do_not() -> None:
     assert found.terminated.tolist() == [bool(t) for t in terminal]
     assert found.truncated.tolist() == [n == 5 for n in range(12)]
     assert found.card.digest != small().card.digest
+    assert found.card.transitions == 12
     assert {array.dtype for array in found.arrays().values()} == {
         array.dtype for array in small().arrays().values()
     }

@@ -1,4 +1,4 @@
-"""The sixteen datasets: names, cards, streams and their controllers' performance."""
+"""The datasets: names and kinds; the sixteen industrial ones: cards, streams, performance."""
 
 import dataclasses
 import math
@@ -6,19 +6,29 @@ import math
 import numpy as np
 import pytest
 
-from components.data.catalogue import DATASETS, DatasetSpec, generate
+from components.data.catalogue import DATASETS, generate, spec_kind
 from components.data.controllers import CONTROLLERS
 from components.data.history import gather_history
+from components.data.industrial import INDUSTRIAL_DATASETS, IndustrialSpec
 from components.data.returns import window_returns
 
 
 def test_names_are_the_sixteen_of_the_thesis() -> None:
     tenths = ("0.0", "0.2", "0.4", "0.6", "0.8")
     expected = {f"{name}-{t}" for name in ("bad", "mediocre", "optimized") for t in tenths}
-    assert set(DATASETS) == expected | {"mediocre-1.0"}
-    for name, spec in DATASETS.items():
+    assert set(INDUSTRIAL_DATASETS) == expected | {"mediocre-1.0"}
+    for name, spec in INDUSTRIAL_DATASETS.items():
         assert spec.name == name == f"{spec.controller}-{spec.epsilon}"
         assert (spec.setpoint, spec.trajectories, spec.steps) == (70.0, 100, 1000)
+
+
+def test_every_dataset_is_known_by_its_fields_alone() -> None:
+    assert len(DATASETS) == 19
+    for name, spec in DATASETS.items():
+        fields = dataclasses.asdict(spec)
+        assert spec_kind(fields)(**fields) == spec
+        assert spec.name == name
+        assert spec.environment.startswith("proximity/")
 
 
 @pytest.mark.parametrize(
@@ -45,7 +55,7 @@ def test_short_trajectories_say_so_on_their_card() -> None:
 
 @pytest.mark.parametrize("name", list(CONTROLLERS))
 def test_stored_actions_are_what_the_controller_does_on_stored_frames(name: str) -> None:
-    spec = DatasetSpec(f"{name}-0.0", name, 0.0, trajectories=4, steps=200)
+    spec = IndustrialSpec(f"{name}-0.0", name, 0.0, trajectories=4, steps=200)
     dataset = generate(spec, seed=3)
     histories = gather_history(dataset.frames, dataset.frame_rows(), dataset.first_rows(), 30)
     wanted = CONTROLLERS[name](histories.reshape(-1, 30, 6).astype(np.float64))
@@ -54,7 +64,7 @@ def test_stored_actions_are_what_the_controller_does_on_stored_frames(name: str)
 
 
 def test_exploration_happens_at_the_named_rate() -> None:
-    dataset = generate(DatasetSpec("bad-0.4", "bad", 0.4, trajectories=20, steps=500), 0)
+    dataset = generate(IndustrialSpec("bad-0.4", "bad", 0.4, trajectories=20, steps=500), 0)
     wanted = np.clip(100.0 - dataset.frames[dataset.frame_rows(), 1:4], -1.0, 1.0)
     explored = np.abs(dataset.actions - wanted).max(axis=1) > 1e-4
     # five standard errors in 10,000 steps

@@ -145,6 +145,19 @@ def test_cards_that_cannot_be_read_say_why(
         OfflineDataset.open(folder)
 
 
+def test_cards_of_before_the_robots_are_read(dataset: OfflineDataset, folder: Path) -> None:
+    path = folder / "card.json"
+    values = json.loads(path.read_text())
+    for name in ("controller_digest", "noise", "simulator", "transitions"):
+        del values[name]
+    path.write_text(json.dumps(values))
+    assert OfflineDataset.open(folder).card == dataset.card
+    del values["epsilon"]
+    path.write_text(json.dumps(values))
+    with pytest.raises(ValueError, match=r"unknown fields \(epsilon, transitions\)"):
+        OfflineDataset.open(folder)
+
+
 def test_observations_may_be_shortened_but_not_lengthened() -> None:
     log = make_log(history=3)
     assert log.with_history(2).card.history == 2

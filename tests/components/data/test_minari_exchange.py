@@ -12,11 +12,23 @@ import pytest
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
 from components.data.minari_exchange import export_minari, import_minari, minari_id
+from components.data.robots import RobotSpec
+from components.environments.robot_specs import SWIMMER
+from tests.components.data.toy_robot import toy_expert
+from tests.components.synthetic import relabelled
 
 
 @pytest.fixture(scope="module")
 def dataset() -> OfflineDataset:
     return generate(dataclasses.replace(DATASETS["mediocre-0.2"], trajectories=3, steps=40), seed=0)
+
+
+@pytest.fixture
+def swimmer(monkeypatch: pytest.MonkeyPatch) -> OfflineDataset:
+    """Two short episodes and a cut one, by an untrained controller."""
+    expert = toy_expert(features=SWIMMER.frame_features)
+    monkeypatch.setattr(RobotSpec, "_expert", lambda spec: expert)
+    return RobotSpec("swimmer", "swimmer", transitions=50, steps=20).generate(0)
 
 
 @pytest.fixture
@@ -78,6 +90,46 @@ def test_round_trip(dataset: OfflineDataset, root: Path, stacked: bool) -> None:
         returned = imported.arrays()[name]
         assert returned.dtype == array.dtype
         np.testing.assert_array_equal(returned, array)
+
+
+@pytest.mark.filterwarnings("ignore:Package proximity-bench")
+@pytest.mark.parametrize("stacked", [False, True])
+def test_robots_go_there_and_back(swimmer: OfflineDataset, root: Path, stacked: bool) -> None:
+    name = export_minari(swimmer, root, stacked=stacked)
+    loaded = minari.load_dataset(name)
+    assert [len(episode.actions) for episode in loaded.iterate_episodes()] == [20, 20, 10]
+    np.testing.assert_array_equal(loaded[1].observations, swimmer.frames[21:42])
+    environment = loaded.recover_environment()
+    assert environment.spec.kwargs == {"physics": "v3"}
+    assert environment.observation_space == loaded.observation_space
+    assert loaded.observation_space.contains(loaded[0].observations[3])
+    imported = import_minari(name, root)
+    assert imported.card == swimmer.card
+    for array, values in swimmer.arrays().items():
+        np.testing.assert_array_equal(imported.arrays()[array], values)
+
+
+def test_falls_go_there_and_back(dataset: OfflineDataset, root: Path) -> None:
+    terminated = dataset.terminated.copy()
+    terminated[39] = True
+    fallen = relabelled(dataset, terminated=terminated, truncated=dataset.truncated & ~terminated)
+    name = export_minari(fallen, root)
+    loaded = minari.load_dataset(name)
+    assert [bool(loaded[n].terminations[-1]) for n in range(3)] == [True, False, False]
+    assert [bool(loaded[n].truncations[-1]) for n in range(3)] == [False, True, True]
+    np.testing.assert_array_equal(import_minari(name, root).terminated, terminated)
+
+
+def test_the_description_says_how_the_data_were_made(
+    dataset: OfflineDataset, swimmer: OfflineDataset, root: Path
+) -> None:
+    for log, words in (
+        (dataset, ("mediocre controller with 20% random actions.", "last 30 frames", "-0.03) fat")),
+        (swimmer, ("30% random actions and Gaussian noise of 0.3", "is the system's own")),
+    ):
+        name = export_minari(log, root)
+        text = minari.load_dataset(name).storage.metadata["description"]
+        assert all(word in text for word in words)
 
 
 def test_stacked_observations_are_newest_first(dataset: OfflineDataset, root: Path) -> None:

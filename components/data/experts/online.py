@@ -1,0 +1,242 @@
+"""DDPG that acts: one environment, one memory and one learner per lane, stepped together.
+
+Per environment step each lane acts (uniformly at random in the first steps, then by its policy
+with Gaussian noise), remembers the transition and, once it acts by its policy, makes one update on
+a batch drawn uniformly from all it remembers. An episode ends with a fall, which is terminal, or
+when its time is up, which is not.
+
+Settings are those of the "DDPG" of Fujimoto et al., "Off-Policy Deep Reinforcement Learning without
+Exploration" (2019), whose imperfect demonstrations the thesis's robot data follow; the update is
+that of :class:`components.algorithms.ddpg.ActorCritic`, on frames as the system gives them.
+
+What a lane lives through depends on its key alone: starts are drawn from (key, episode number),
+everything else from (key, step). The state of the physics is in no checkpoint: the running episode
+is lived again from its start with the actions in memory, to the same numbers.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from components.algorithms import ddpg
+from components.data.experts.replay import Replay
+from components.environments.robots import Robots
+from components.networks import LaneStreams, StackedMLP, lane_generator, lane_key, normal_draw
+from components.networks.checkpoint import module_state, with_prefix
+
+__all__ = ["ExpertConfig", "OnlineDDPG"]
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpertConfig:
+    """How an expert is trained."""
+
+    steps: int = 1_000_000  # environment steps
+    random_steps: int = 25_000  # of these uniformly random, before the first update
+    exploration: float = 0.1  # deviation of the noise on the policy's actions
+    horizon: int = 1000  # steps of an episode, after which time is up
+    evaluate_every: int = 5000  # steps
+    episodes: int = 10  # of an evaluation
+    hidden: tuple[int, ...] = (400, 300)  # layers of actor and critic
+    learning_rate: float = 1e-3  # Adam, actor and critic
+    batch: int = 100  # transitions per update
+    discount: float = 0.99  # gamma
+    target_rate: float = 0.005  # tau
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the field and its range.
+        """
+        if min(self.steps, self.horizon, self.evaluate_every, self.episodes) < 1:
+            raise ValueError("steps, horizon, evaluate_every and episodes must be at least 1.")
+        if not 1 <= self.random_steps <= self.steps:
+            raise ValueError(
+                f"random_steps is {self.random_steps}; give a number from 1 to steps={self.steps}."
+            )
+        if self.evaluate_every > self.steps:
+            raise ValueError(
+                f"evaluate_every={self.evaluate_every} is more than steps={self.steps}: no policy "
+                "would be judged; lower it."
+            )
+        if self.exploration < 0:
+            raise ValueError(f"exploration is {self.exploration}; give a number from 0.")
+        _ = self.learner
+
+    @property
+    def learner(self) -> ddpg.Config:
+        """The settings of the update."""
+        return ddpg.Config(
+            updates=self.steps,
+            hidden=self.hidden,
+            learning_rate=self.learning_rate,
+            batch=self.batch,
+            discount=self.discount,
+            target_rate=self.target_rate,
+        )
+
+
+class OnlineDDPG:
+    """L learners that gather their own data.
+
+    Args:
+        config: Settings.
+        keys: One random stream per lane.
+        machine: L copies of the system.
+        replay: Empty memory of L lanes.
+        device: Where to learn.
+    """
+
+    def __init__(
+        self,
+        config: ExpertConfig,
+        keys: Sequence[int],
+        machine: Robots,
+        replay: Replay,
+        device: torch.device,
+    ) -> None:
+        self.lanes = len(keys)
+        self._config, self._keys, self._device = config, list(keys), device
+        self._machine, self._replay = machine, replay
+        widths = len(machine.frame_features), len(machine.action_features)
+        self._ddpg = ddpg.ActorCritic(config.learner, keys, *widths, device)
+        self._best = copy.deepcopy(self._ddpg.actor).requires_grad_(False)
+        self._best_return = torch.full((self.lanes,), -torch.inf, dtype=torch.float64)
+        self._best_step = torch.zeros(self.lanes, dtype=torch.int64)
+        self._streams = LaneStreams(
+            keys,
+            {
+                "uniform": lambda g, lane, steps: g.uniform(-1.0, 1.0, (steps, widths[1])),
+                "noise": normal_draw(widths[1]),
+                "row": lambda g, lane, steps: g.random((steps, config.batch)),
+            },
+            device,
+        )
+        self._episode = np.zeros(self.lanes, dtype=np.int64)
+        self._elapsed = np.zeros(self.lanes, dtype=np.int64)
+        self._frames = machine.reset(self._openings())
+
+    # -- update -----------------------------------------------------------------------------
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One environment step on all lanes and, after the random ones, one update."""
+        random = self._streams.at(step)
+        learns = step >= self._config.random_steps
+        self._interact(self._exploring(random["noise"]) if learns else random["uniform"])
+        if not learns:
+            return {}
+        index = (random["row"] * self._replay.count).long()
+        return self._ddpg.learn(self._replay.batch(index))
+
+    @torch.no_grad()
+    def _exploring(self, noise: Tensor) -> Tensor:
+        frames = torch.from_numpy(self._frames).float().to(self._device)
+        wanted = torch.tanh(self._ddpg.actor(frames[:, None])).squeeze(1)
+        noisy = (wanted + self._config.exploration * noise).clamp_(-1.0, 1.0)
+        return noisy.nan_to_num_()  # a lane whose network broke must not break the physics
+
+    def _interact(self, actions: Tensor) -> None:
+        taken = actions.float().cpu().numpy()
+        frames, rewards = self._machine.step(taken.astype(np.float64))
+        fallen = self._machine.terminated
+        self._replay.append(self._frames, taken, rewards, fallen, frames)
+        self._elapsed += 1
+        self._frames = frames
+        ended = fallen | (self._elapsed == self._config.horizon)
+        if ended.any():
+            self._episode[ended] += 1
+            self._elapsed[ended] = 0
+            self._begin(ended)
+
+    def _begin(self, lanes: Mask) -> None:
+        """Put lanes at the start of their current episode."""
+        self._frames[lanes] = self._machine.reset_copies(lanes, self._openings())
+
+    def _openings(self) -> list[np.random.Generator]:
+        """Per lane the generator of its current episode's start."""
+        return [
+            lane_generator(lane_key(key, "start"), int(number))
+            for key, number in zip(self._keys, self._episode, strict=True)
+        ]
+
+    # -- what is kept -------------------------------------------------------------------------
+
+    @property
+    def actor(self) -> StackedMLP:
+        """The current policies' networks; their tanh acts."""
+        return self._ddpg.actor
+
+    @property
+    def best(self) -> StackedMLP:
+        """Of each lane the network with the highest return so far."""
+        return self._best
+
+    @property
+    def best_return(self) -> list[float]:
+        """Its return, per lane."""
+        values: list[float] = self._best_return.tolist()
+        return values
+
+    @property
+    def best_step(self) -> list[int]:
+        """The step at which it was judged, per lane."""
+        values: list[int] = self._best_step.tolist()
+        return values
+
+    @torch.no_grad()
+    def keep_best(self, step: int, returns: Tensor) -> None:
+        """Remember the current policies of the lanes that have never done better.
+
+        Args:
+            step: Steps so far.
+            returns: ``[L]`` what the current policies achieve.
+        """
+        better = returns > self._best_return
+        self._best_return[better] = returns[better]
+        self._best_step[better] = step
+        chosen = better.to(self._device)
+        for kept, now in zip(self._best.parameters(), self.actor.parameters(), strict=True):
+            kept[chosen] = now[chosen]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All that the next update depends on, but for the transitions, which are in files."""
+        return {
+            **self._ddpg.state_dict(),
+            **module_state({"best": self._best}),
+            "best_return": self._best_return,
+            "best_step": self._best_step,
+            "collected": torch.full((self.lanes,), self._replay.count),
+            "episode": torch.from_numpy(self._episode.copy()),
+            "elapsed": torch.from_numpy(self._elapsed.copy()),
+        }
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned, and live the running episodes again.
+
+        Raises:
+            ValueError: The files hold fewer transitions than the state counts.
+        """
+        self._ddpg.load_state_dict(state)
+        self._best.load_state_dict(with_prefix("best", state))
+        self._best_return = state["best_return"].clone()
+        self._best_step = state["best_step"].clone()
+        self._episode = state["episode"].numpy().copy()
+        self._elapsed = state["elapsed"].numpy().copy()
+        self._replay.restore(int(state["collected"][0]))
+        for back in range(int(self._elapsed.max()), -1, -1):
+            begins = self._elapsed == back
+            if begins.any():
+                self._begin(begins)
+            if back:
+                # Lanes that have not begun yet act as well; their start makes that undone.
+                past = np.full(self.lanes, self._replay.count - back)
+                actions = self._replay.actions(past).astype(np.float64)
+                self._frames = self._machine.step(actions)[0]

@@ -1,0 +1,136 @@
+"""Train experts of one robot, one lane per seed, and keep the best policy of every seed.
+
+Every few thousand steps the current policies live whole episodes without noise; the policy with the
+highest mean return so far is kept. That choice uses the real system, as it may: an expert is part
+of how data are made. It flatters the kept policy, so whoever chooses one judges it anew.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from components.data.experts.judging import episode_rewards
+from components.data.experts.online import ExpertConfig, OnlineDDPG
+from components.data.experts.replay import Replay
+from components.data.normaliser import Normaliser
+from components.environments.robots import Robots
+from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.policy import Policy, PolicyCard
+from components.networks.training import Curves, TrainingLoop
+
+__all__ = ["train_experts", "without_denormals"]
+
+Machines = Callable[[int], Robots]
+"""Makes so many copies of the robot."""
+
+
+def train_experts(
+    name: str,
+    config: ExpertConfig,
+    keys: Sequence[int],
+    members: Sequence[str],
+    machines: Machines,
+    *,
+    work: Path,
+    device: torch.device,
+    progress: Callable[[float], None] = lambda fraction: None,
+    save_every: float = 60.0,
+) -> tuple[list[Policy], list[float], Curves]:
+    """Train all lanes.
+
+    Args:
+        name: Of the robot, for the policies' cards.
+        config: Settings.
+        keys: One random stream per lane.
+        members: Names of the lanes, stable across restarts.
+        machines: Makes copies of the robot.
+        work: Folder that survives a kill; holds the checkpoint and all transitions.
+        device: Where to learn.
+        progress: Told the finished fraction.
+        save_every: Seconds between checkpoints.
+
+    Returns:
+        Per lane its best policy, whose card says at which step it was found; the mean return it
+        had then; the learning curves.
+    """
+    machine = machines(len(keys))
+    judged = machines(len(keys) * config.episodes)
+    widths = len(machine.frame_features), len(machine.action_features)
+    files = [work / f"{member}.transitions" for member in members]
+    replay = Replay(len(keys), config.steps, *widths, device, files)
+    learner = OnlineDDPG(config, keys, machine, replay, device)
+
+    def judge(done: int, curves: Curves) -> bool:
+        if done % config.evaluate_every == 0:
+            starts = [
+                lane_generator(lane_key(key, "evaluation", done), episode)
+                for key in keys
+                for episode in range(config.episodes)
+            ]
+            act = _deterministic(learner.actor, device)
+            rewards = episode_rewards(act, judged, starts, config.horizon)
+            returns = torch.from_numpy(rewards.sum(axis=1)).view(len(keys), -1).mean(dim=1)
+            learner.keep_best(done, returns)
+            curves.add(done, {"evaluation/return": returns})
+        return False
+
+    loop = TrainingLoop(
+        config.steps,
+        members,
+        work / "checkpoint.safetensors",
+        max(1, min(1000, config.steps // 100)),
+        save_every,
+        progress,
+    )
+    with without_denormals():
+        curves = loop.run(learner, judge)
+    card = PolicyCard(
+        algorithm="ddpg",
+        dataset=f"none, trained on {name} itself",
+        features=tuple(machine.frame_features),
+        history=1,
+        actions=widths[1],
+        takes_lambda=False,
+        steps=tuple(learner.best_step),
+    )
+    as_it_is = Normaliser(torch.zeros(len(keys), widths[0]), torch.ones(len(keys), widths[0]))
+    stack = Policy.of_networks(card, {"actor": learner.best.affine()}, as_it_is)
+    policies = [
+        stack.lane(lane, replace(card, steps=(step,)))
+        for lane, step in enumerate(learner.best_step)
+    ]
+    return policies, learner.best_return, curves
+
+
+@contextmanager
+def without_denormals() -> Iterator[None]:
+    """Round denormal numbers to 0 meanwhile.
+
+    Adam's moments of a unit that never fires fade by a tenth in every update. After a thousand they
+    are denormal, and arithmetic with such numbers takes ten times as long on many processors.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+
+
+def _deterministic(
+    actor: StackedMLP, device: torch.device
+) -> Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]:
+    """Actions of L networks for N copies, lane by lane the same number."""
+
+    @torch.no_grad()
+    def act(frames: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        seen = torch.from_numpy(frames).float().to(device)
+        actions = torch.tanh(actor(seen.view(actor.lanes, -1, frames.shape[1])))
+        chosen: npt.NDArray[np.float64] = actions.flatten(0, 1).double().cpu().numpy()
+        return chosen
+
+    return act

@@ -1,0 +1,139 @@
+"""Pictures of a robot under a policy, drawn without a screen.
+
+MuJoCo draws through EGL (a driver, or Mesa in software) or through OSMesa; which of them works can
+only be found out by trying, in a process of its own because the first library that is loaded stays.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
+from components.environments.frame_history import FrameHistory
+
+__all__ = ["DRAWABLE", "FRAMES_PER_SECOND", "Take", "drawing_library", "film"]
+
+DRAWABLE: Final = (SWIMMER_ID, HOPPER_ID, WALKER2D_ID)
+"""Gymnasium ids of the systems that can be drawn."""
+FRAMES_PER_SECOND: Final = 25
+"""Pictures per simulated second; a divisor of all robots' steps per second (25 and 125)."""
+
+_LIBRARIES = ("egl", "osmesa")
+_CHOICE = "MUJOCO_GL"
+
+
+@dataclass(frozen=True)
+class Take:
+    """What was filmed.
+
+    Attributes:
+        steps: of the robot.
+        seconds: of simulated time.
+        fell: whether a fall ended it.
+        reward: sum over the steps, undiscounted.
+    """
+
+    steps: int
+    seconds: float
+    fell: bool
+    reward: float
+
+
+def drawing_library() -> str:
+    """The library that draws without a screen here: the one MUJOCO_GL names, or the first to work.
+
+    Raises:
+        OSError: none works.
+    """
+    named = os.environ.get(_CHOICE, "").lower()
+    for library in (named,) if named else _LIBRARIES:
+        if library in _LIBRARIES and _works(library):
+            return library
+    if named:
+        raise OSError(
+            f"{_CHOICE}={named} cannot draw without a screen here; unset it to use whatever works."
+        )
+    raise OSError(
+        "Nothing here can draw without a screen: neither EGL nor OSMesa works; install one of them "
+        "(on Debian: libegl1 and libgl1-mesa-dri, or libosmesa6)."
+    )
+
+
+def _works(library: str) -> bool:
+    attempt = f"from mujoco.{library} import GLContext; GLContext(8, 8).make_current()"
+    environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    done = subprocess.run(
+        [sys.executable, "-c", attempt],
+        env=environment | {_CHOICE: library},
+        capture_output=True,
+        check=False,
+    )
+    return done.returncode == 0
+
+
+def film(
+    environment: str,
+    parameters: Mapping[str, Any],
+    act: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    draw: Callable[[NDArray[np.uint8]], object],
+    *,
+    history: int = 1,
+    steps: int = 1000,
+    seed: int = 0,
+    size: int = 480,
+) -> Take:
+    """Film one episode, until the robot falls or the steps are over.
+
+    Args:
+        environment: Gymnasium id, one of `DRAWABLE`.
+        parameters: of the environment, such as the physics.
+        act: maps frames `[1, H, F]`, newest first, to an action `[A]`.
+        draw: takes one picture `[size, size, 3]` after the other.
+        history: frames that `act` sees, H.
+        steps: at most.
+        seed: of the start.
+        size: of a picture, in pixels.
+
+    Raises:
+        ValueError: a system that cannot be drawn.
+        OSError: nothing here can draw without a screen.
+    """
+    if environment not in DRAWABLE:
+        raise ValueError(f"{environment} cannot be drawn; what can be are {', '.join(DRAWABLE)}.")
+    os.environ[_CHOICE] = drawing_library()
+    robot = gym.make(
+        environment,
+        max_episode_steps=steps,
+        disable_env_checker=True,
+        render_mode="rgb_array",
+        camera_name="track",
+        width=size,
+        height=size,
+        **parameters,
+    )
+    try:
+        per_second = int(robot.unwrapped.metadata["render_fps"])
+        frame, _ = robot.reset(seed=seed)
+        frames, taken, reward = FrameHistory(frame[None], history), 0, 0.0
+        draw(_picture(robot))
+        fell = ended = False
+        while not ended:
+            frame, earned, fell, late, _ = robot.step(act(frames.window))
+            frames.push(frame[None])
+            taken, reward, ended = taken + 1, reward + float(earned), fell or late
+            if ended or taken % (per_second // FRAMES_PER_SECOND) == 0:
+                draw(_picture(robot))
+    finally:
+        robot.close()
+    return Take(taken, taken / per_second, fell, reward)
+
+
+def _picture(robot: gym.Env[Any, Any]) -> NDArray[np.uint8]:
+    return np.asarray(robot.render(), dtype=np.uint8)

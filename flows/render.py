@@ -1,0 +1,196 @@
+"""Watch a stored policy: ``python -m flows.render run=td3_bc/hopper/seed0 out=hopper.mp4``."""
+
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import numpy as np
+import torch
+from pydantic import Field
+
+from components.data.dataset import DatasetCard
+from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
+from components.networks.policy import Policy
+from flows.checking import SettingsError, build_config
+from flows.pipeline.mlflow_setup import import_mlflow
+from flows.pipeline.store import ArtifactStore
+from flows.sections import Strict
+from flows.session import run_door
+
+__all__ = ["RenderSettings", "film_command", "find_policy", "load_render_settings"]
+
+HELP = """\
+usage: python -m flows.render run=ID out=FILE [KEY=VALUE ...]
+
+Film a stored policy of a robot, drawn without a screen by EGL or OSMesa. The last snapshot acts.
+
+  run=ID        id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
+                e.g. td3_bc/hopper/seed0
+  out=FILE      walker.mp4 or walker.gif
+  lambda=0.5    proximity, for policies that take it
+  steps=1000    at most; a fall ends the film
+  seed=0        of the start
+  size=480      pixels, a multiple of 16
+  store=mlruns  folder of the runs
+"""
+
+_TRAINING = "policy_training"
+
+
+class RenderSettings(Strict):
+    """What to film and where to write it."""
+
+    run: str = Field(min_length=1)
+    out: Path
+    proximity: float | None = Field(default=None, ge=0, le=1, alias="lambda")
+    steps: int = Field(default=1000, ge=1)
+    seed: int = Field(default=0, ge=0)
+    size: int = Field(default=480, ge=16, multiple_of=16)  # blocks of video codecs
+    store: Path = Path("mlruns")
+
+
+def load_render_settings(words: Sequence[str]) -> RenderSettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, Any] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key:
+            raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. seed=1.")
+        fields[key] = value
+    for name in ("run", "out"):
+        if name not in fields:
+            raise SettingsError(f"{name}= is missing; write run=ID out=FILE, e.g. out=walker.mp4.")
+    settings: RenderSettings = build_config(RenderSettings, "", fields)
+    if settings.out.suffix.lower() not in (".mp4", ".gif"):
+        raise SettingsError(f"out={settings.out} must end in .mp4 or .gif.")
+    return settings
+
+
+def film_command(run: str, name: str, takes_lambda: bool) -> str:
+    """The command line that films a run into a file of the given name."""
+    words = [f"run={run}", f"out={name.replace('/', '-')}.mp4", *["lambda=0.5"] * takes_lambda]
+    return " ".join(["python -m flows.render", *words])
+
+
+def find_policy(store: ArtifactStore, run: str) -> dict[str, Any]:
+    """The `node.json` of a stored policy.
+
+    Args:
+        store: With the artifacts.
+        run: Key or name of its node, or the id of its run in MLflow.
+
+    Raises:
+        SettingsError: No such run, one that is no policy, or several of that name.
+    """
+    records = [r for r in store.records() if run in (r.get("key"), r.get("name"))]
+    if not records and re.fullmatch(r"[0-9a-f]{32}", run):
+        key = _key_in_mlflow(store.root, run)
+        records = [store.record(key)] if key and store.complete(key) else []
+    if not records:
+        raise SettingsError(
+            f"run={run}: {store.root} holds no such finished run; give the id of a run in MLflow, "
+            "a folder name in its nodes/, or a name such as td3_bc/hopper/seed0."
+        )
+    if len(records) > 1:
+        keys = ", ".join(str(r["key"]) for r in records)
+        raise SettingsError(f"run={run} is the name of several runs; give one of the keys {keys}.")
+    if records[0]["component"] != _TRAINING:
+        raise SettingsError(
+            f"run={run} is no policy but a run of {records[0]['component']}; give a run of "
+            f"{_TRAINING}."
+        )
+    return records[0]
+
+
+def _key_in_mlflow(root: Path, run: str) -> str | None:
+    """The node behind a run of MLflow, None if there is no such run."""
+    address = os.environ.get("MLFLOW_TRACKING_URI")
+    if not address and not (root / "mlflow.db").exists():
+        return None
+    mlflow = import_mlflow()
+    client = mlflow.MlflowClient(tracking_uri=address or f"sqlite:///{root}/mlflow.db")
+    try:
+        key: str | None = client.get_run(run).data.tags.get("key")
+    except mlflow.exceptions.MlflowException:
+        return None
+    return key
+
+
+def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], np.ndarray]:
+    """Frames `[1, H, F]` to the last snapshot's action `[A]`."""
+    card = policy.card
+    if card.takes_lambda != (settings.proximity is not None):
+        says = "needs lambda; add e.g. lambda=0.5" if card.takes_lambda else "takes no lambda"
+        raise SettingsError(f"run={settings.run}: a policy of {card.algorithm} {says}.")
+    last = policy.select(slice(policy.lanes - 1, policy.lanes), card)
+    steering = None if settings.proximity is None else torch.tensor([[settings.proximity]])
+    generator = np.random.default_rng(settings.seed)
+
+    def act(frames: np.ndarray) -> np.ndarray:
+        noise = None
+        if card.candidates:
+            drawn = generator.standard_normal((1, 1, card.candidates, card.noise), np.float32)
+            noise = torch.from_numpy(drawn)
+        seen = torch.from_numpy(frames).float()[None]
+        return last.act(seen, steering, noise)[0, 0].numpy()
+
+    return act
+
+
+@contextmanager
+def _video(path: Path) -> Iterator[Callable[[np.ndarray], object]]:
+    """A file that takes pictures; it appears under its name when it is whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    growing = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    options: dict[str, Any] = {"fps": FRAMES_PER_SECOND}
+    if path.suffix.lower() == ".gif":
+        options = {"duration": 1000 / FRAMES_PER_SECOND, "loop": 0}  # milliseconds; for ever
+    try:
+        with imageio.get_writer(growing, **options) as writer:
+            yield writer.append_data
+        growing.replace(path)
+    finally:
+        growing.unlink(missing_ok=True)
+
+
+def _run(settings: RenderSettings) -> int:
+    store = ArtifactStore(settings.store, create=False)
+    record = find_policy(store, settings.run)
+    data = store.path(record["inputs"]["dataset"]) / "dataset" / "card.json"
+    card = DatasetCard.from_json(data.read_text(encoding="utf-8"))
+    if card.environment not in DRAWABLE:
+        raise SettingsError(
+            f"run={settings.run} steers {card.environment}, which has no picture; only policies "
+            "of the robots can be filmed."
+        )
+    policy = Policy.load(store.path(record["key"]) / "policy")
+    act = _actor(policy, settings)
+    with _video(settings.out) as draw:
+        take = film(
+            card.environment,
+            card.environment_parameters,
+            act,
+            draw,
+            history=policy.card.history,
+            steps=settings.steps,
+            seed=settings.seed,
+            size=settings.size,
+        )
+    end = "until it fell" if take.fell else "without a fall"
+    print(
+        f"{settings.out}: {record['name']} for {take.steps} steps ({take.seconds:.1f} s) {end}; "
+        f"undiscounted return {take.reward:.1f}."
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    run_door("render", HELP, load_render_settings, _run)

@@ -1,0 +1,123 @@
+"""Experts of the robots: ``python -m flows.train_experts robots=[swimmer] seeds=[0,1,2,3]``.
+
+Online training on the real system, to generate data with; no offline learner has a part in it. All
+seeds of a robot train side by side as lanes of one program; the best of them, by its evaluations
+during training, becomes the expert.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+
+from components.data.experts.shipped import SHIPPED, Expert
+from flows.benchmark import plain, sweep_name
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.runner import Outcome
+from flows.pipeline.store import ArtifactStore
+from flows.session import Metrics, main, run_sweep
+from flows.settings import Settings
+
+__all__ = ["expert_plan"]
+
+HELP = """\
+usage: python -m flows.train_experts [KEY=VALUE ...]
+
+Train the controllers that log the robot datasets: DDPG on the robots themselves, all seeds of a
+robot together, for hours. The same command continues a training, also a killed one.
+
+  robots=[a,b]                 swimmer, hopper, walker2d, or all
+  seeds=[0,1,2,3]              whole numbers; the best seed becomes the expert
+  steps=1000000                environment steps per seed
+  physics=v3|v5                of the robots; v3, as in the thesis, is the default
+  install=true                 put the experts where dataset generation looks for them
+  experts.training.KEY=VALUE   any other setting, e.g. experts.training.exploration=0.2
+  profile=smoke                a training of seconds, for tests
+  dry_run=true                 show the plan and stop
+"""
+
+ALIASES = {
+    "robots": "experts.robots",
+    "seeds": "experts.seeds",
+    "physics": "experts.physics",
+    "install": "experts.install",
+    "steps": "experts.training.steps",
+}
+
+COMPONENTS = {"expert_training": 1, "expert_choice": 1}
+"""The components and the versions of their code; raise one when its results change."""
+
+_STEP_COST = 3.5e-3  # core-seconds per environment step and update of one seed
+
+
+def expert_plan(settings: Settings) -> Plan:
+    """Training of every robot and seed, and the choice of a seed per robot."""
+    experts = settings.experts
+    nodes = []
+    for robot in experts.robots:
+        shared = {
+            "robot": robot,
+            "physics": experts.physics,
+            "training": plain(asdict(experts.training)),
+        }
+        trained = {
+            f"seed{seed}": Node(
+                component="expert_training",
+                name=f"expert/{robot}/seed{seed}",
+                task="flows.expert_tasks:train_expert",
+                version=COMPONENTS["expert_training"],
+                config={**shared, "seed": seed},
+                tags={"robot": robot, "seed": str(seed)},
+                lanes=f"expert/{robot}",
+                cost=_STEP_COST * experts.training.steps,
+            )
+            for seed in experts.seeds
+        }
+        nodes.append(
+            Node(
+                component="expert_choice",
+                name=f"expert/{robot}",
+                task="flows.expert_tasks:choose_expert",
+                version=COMPONENTS["expert_choice"],
+                config={**shared, "seeds": sorted(experts.seeds), "episodes": experts.episodes},
+                inputs=trained,
+                tags={"robot": robot},
+                cost=1e-4 * experts.episodes * experts.training.horizon,
+            )
+        )
+    return Plan(nodes)
+
+
+def _run(settings: Settings) -> int:
+    plan = expert_plan(settings)
+    store = ArtifactStore(settings.store, create=not settings.dry_run)
+
+    def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
+        metrics: dict[str, list[tuple[int, float]]] = {}
+        chosen = [node for node in plan if node.component == "expert_choice"]
+        print(
+            f"{'expert':<10}{'seed':>5}{'step':>9}{'return':>10}{'std':>8}{'100 steps':>11}  folder"
+        )
+        for node in chosen:
+            if not store.complete(node.key):
+                continue
+            folder = store.path(node.key) / "expert"
+            expert = Expert.load(folder)
+            card = expert.card
+            place = settings.store / folder.relative_to(store.root)
+            if settings.experts.install:
+                place = SHIPPED / card.robot
+                place.mkdir(exist_ok=True)
+                expert.save(place)
+            print(
+                f"{card.robot:<10}{card.seed:>5}{card.step:>9}{card.return_mean:>10.1f}"
+                f"{card.return_std:>8.1f}{card.discounted_return_mean:>11.1f}  {place}/"
+            )
+            metrics[f"return/{card.robot}"] = [(0, card.return_mean)]
+        return [], metrics
+
+    experts = settings.experts
+    params = {"robots": ",".join(experts.robots), "seeds": ",".join(map(str, experts.seeds))}
+    return run_sweep(settings, f"experts-{sweep_name(settings, plan)}", plan, report, params)
+
+
+if __name__ == "__main__":
+    main("train_experts", HELP, _run, ALIASES)

@@ -1,0 +1,84 @@
+"""What a search still has to tell the ledger: every trial that ended, whoever saw it end."""
+
+import contextlib
+from collections.abc import Callable, Iterable
+
+from optuna.trial import FrozenTrial, TrialState
+
+from flows.pipeline.errors import LedgerError
+from flows.pipeline.store import ArtifactStore
+from flows.tuning.ledger import TrialRecord, Trials
+from flows.tuning.study import Study, has_ended
+
+__all__ = ["TrialNotes"]
+
+
+class TrialNotes:
+    """Trials in the order in which they ended, until the ledger has them.
+
+    A ledger that fails once is not asked again: the studies remember everything, so the next run
+    of the search records what is missing.
+
+    Args:
+        ledger: Who remembers the trials.
+        store: Where artifacts lie.
+        say: Takes one-line messages for people.
+
+    Attributes:
+        closed: Why trials are missing in the ledger; empty if none is.
+    """
+
+    def __init__(self, ledger: Trials, store: ArtifactStore, say: Callable[[str], None]) -> None:
+        self.closed = ""
+        self._ledger = ledger
+        self._store = store
+        self._say = say
+        self._waiting: list[tuple[Study, int]] = []
+
+    def add(self, study: Study, number: int) -> None:
+        """Note a trial that ended."""
+        self._waiting.append((study, number))
+
+    def catch_up(self, studies: Iterable[Study]) -> None:
+        """Write what a killed driver told the studies but not the ledger."""
+        for study in studies:
+            try:
+                known = self._ledger.recorded(study.name)
+            except LedgerError as error:
+                self._close(error)
+                return
+            ended = [trial.number for trial in study.trials() if trial.state.is_finished()]
+            self._waiting += [(study, number) for number in ended if number not in known]
+        self.write()
+
+    def write(self) -> None:
+        """Tell the ledger what is noted."""
+        while self._waiting and not self.closed:
+            study, number = self._waiting[0]
+            try:
+                self._ledger.log_trial(self._record(study, study.trials()[number]))
+            except LedgerError as error:
+                self._close(error)
+                return
+            self._waiting.pop(0)
+
+    def _close(self, error: LedgerError) -> None:
+        self.closed = str(error)
+        self._say(f"{error} The search goes on; the next run of it records what is missing.")
+
+    def _record(self, study: Study, trial: FrozenTrial) -> TrialRecord:
+        node = None
+        with contextlib.suppress(ValueError, KeyError):  # impossible, or interrupted while asked
+            node = study.subject.node_of(trial.params, trial.number)
+        complete = trial.state is TrialState.COMPLETE
+        return TrialRecord(
+            study=study.name,
+            number=trial.number,
+            state=trial.state.name if has_ended(trial) else "INTERRUPTED",
+            drawn=trial.params,
+            loss=trial.value if complete else None,
+            on_the_way=trial.intermediate_values,
+            node=node,
+            folder=self._store.path(node.key) if complete and node is not None else None,
+            reason=trial.user_attrs.get("error", ""),
+        )
