@@ -30,7 +30,13 @@ from components.models.recurrent_ensemble import (
 )
 from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import TransitionModel, VirtualMachine, discounted_sum
+from components.models.rollout import (
+    Propagation,
+    TransitionModel,
+    VirtualMachine,
+    VirtualStep,
+    discounted_sum,
+)
 from components.networks import lane_key
 from tests.components.models.plain import doubles
 from tests.components.robot import DYNAMICS, LIMIT, TORQUES, make_robot_log, next_state, reward
@@ -186,6 +192,94 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         found = torch.cat([step.frames, step.rewards[..., None]], dim=-1)[0]
         # eight recurrent steps in single precision, scaled and unscaled
         torch.testing.assert_close(scaling.apply(found), values.T, rtol=1e-3, atol=1e-3)
+
+
+def trajectory_by_loop(
+    ensemble: RecurrentEnsemble, recorded: np.ndarray, actions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """Rewards, states and choices of one trajectory, member by member, in double precision."""
+    weight, readout = doubles(ensemble.weight), doubles(ensemble.readout)
+    mean, scale = doubles(ensemble.frames.mean), doubles(ensemble.frames.scale)
+    low, high = doubles(ensemble.low), doubles(ensemble.high)
+    scaled = (recorded[::-1].astype(np.float64) - mean) / scale  # oldest first
+    hidden = np.zeros(weight.shape[:2])
+
+    def advance(known: np.ndarray, own: np.ndarray) -> np.ndarray:
+        predicted = np.empty((ensemble.members, 4))
+        for k in range(ensemble.members):
+            hidden[k] = np.tanh(weight[k] @ np.concatenate([hidden[k], known, own[:3], [1.0]]))
+            read = readout[k] @ np.append(hidden[k], 1.0)
+            predicted[k] = read + np.append(own[:3], 0.0)
+        return predicted
+
+    for before, after in itertools.pairwise(scaled):
+        advance(after[:2], before[2:])
+    own = scaled[-1, 2:]
+    rewards, states, choices = [], [], []
+    for action in actions:
+        known = (np.clip(action, -1.0, 1.0) - mean[:2]) / scale[:2]
+        predicted = np.clip(advance(known, own), low, high)
+        choices.append(int(predicted[:, 3].argmin()))
+        own = predicted[choices[-1]]
+        raw = own * scale[2:] + mean[2:]
+        states.append(raw[:3])
+        rewards.append(raw[3])
+    return np.array(rewards), np.array(states), choices
+
+
+def test_the_member_of_least_reward_is_followed_as_in_a_plain_loop() -> None:
+    ensembles = [random_ensemble(LOG, name) for name in "ab"]
+    scaling = Normaliser.stack([Normaliser(e.frames.mean[2:5], e.frames.scale[2:5])
+                                for e in ensembles])  # fmt: skip
+    virtual = VirtualMachine(RecurrentTransition(ensembles, CPU), RULE, scaling, CPU)
+    index = torch.tensor([[3, 50, 77, 200], [8, 9, 120, 300]])
+    history, recorded = LaneData([LOG] * 2, CPU).recorded(index, 3)
+    actions = np.random.default_rng(0).uniform(-1.5, 1.5, (9, 2)).astype(np.float32)
+    given = iter(torch.from_numpy(actions))
+    steps = list(
+        virtual.unroll(
+            history, lambda seen: next(given).expand(*seen.shape[:2], -1), 9, recorded=recorded
+        )
+    )
+    chosen = set()
+    for lane, b in np.ndindex(2, 4):
+        rewards, states, choices = trajectory_by_loop(
+            ensembles[lane], recorded[lane, b].numpy(), actions
+        )
+        chosen |= {(lane, choice) for choice in choices}
+        frames = torch.stack([step.frames[lane, b] for step in steps])
+        # nine recurrent steps in single precision
+        found = frames * scaling.scale[lane] + scaling.mean[lane]
+        np.testing.assert_allclose(doubles(found), states, rtol=1e-3, atol=1e-4)
+        found = torch.stack([step.rewards[lane, b] for step in steps])
+        np.testing.assert_allclose(doubles(found), rewards, rtol=1e-3, atol=1e-4)
+    assert len(chosen) >= 4, "the choice must vary for this test to say something"
+
+
+@pytest.mark.parametrize("propagation", ["minimum", "isolated"])
+def test_without_gradients_the_steps_are_the_same(propagation: Propagation) -> None:
+    data = LaneData([LOG], CPU)
+    transition = RecurrentTransition([random_ensemble(LOG, "a")], CPU)
+    virtual = VirtualMachine(transition, RULE, data.frame_scaling, CPU)
+    past = data.recorded(torch.tensor([[3, 50, 77, 200]]), 3)
+    matrix = torch.randn(3, 2, generator=torch.Generator().manual_seed(0))
+
+    def steps() -> list[VirtualStep]:
+        history, recorded = past
+        return list(
+            virtual.unroll(
+                history, lambda seen: torch.tanh(seen @ matrix), 9, propagation, recorded=recorded
+            )
+        )
+
+    with torch.no_grad():
+        plain = steps()
+    for ours, theirs in zip(steps(), plain, strict=True):
+        # nine steps whose tanh is another kernel
+        for name in ("observations", "rewards", "frames", "drawn"):
+            torch.testing.assert_close(
+                getattr(ours, name), getattr(theirs, name), rtol=1e-4, atol=1e-4
+            )
 
 
 def exact_ensemble(form: str) -> MLPEnsemble:
