@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
-from components.environments import INDUSTRIAL_BENCHMARK_ID
-from flows.costs import model_cost, policy_cost
+from flows.costs import data_cost, model_cost, policy_cost
 from flows.model_choice import ModelChoice, choose_models
 from flows.pipeline.plan import Node, Plan, digest
 from flows.settings import Settings, SettingsError
@@ -78,14 +77,16 @@ def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
 
 def _data_node(settings: Settings, name: str) -> Node:
     spec = settings.dataset[name]
+    made_with = dict(spec.ingredients)
     return Node(
         component="data_generation",
         name=f"data/{name}",
         task="flows.tasks:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": plain(asdict(spec)), "seed": settings.data.seed},
+        config={"spec": plain(asdict(spec)), "seed": settings.data.seed}
+        | ({"ingredients": made_with} if made_with else {}),
         tags={"dataset": name},
-        cost=1e-4 * spec.trajectories * spec.steps / 10,
+        cost=data_cost(spec),
     )
 
 
@@ -129,9 +130,10 @@ def _policy_node(
 ) -> Node:
     algorithm, config = variant.algorithm, variant.config
     module = ALGORITHMS[algorithm]
-    # A stack has one configuration, and models of one shape.
+    # A stack has one configuration, and data and models of one shape.
     models = {role: inputs[role].config["settings"] for role in module.NEEDS}
-    kind = digest([plain(asdict(config)), models], 4)
+    system = settings.dataset[dataset].environment
+    kind = digest([plain(asdict(config)), models, system], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -164,8 +166,8 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
         task="flows.tasks:evaluate",
         version=COMPONENTS["evaluation"],
         config={
-            "environment": INDUSTRIAL_BENCHMARK_ID,
-            "parameters": {"setpoint": spec.setpoint},
+            "environment": spec.environment,
+            "parameters": plain(spec.environment_parameters),
             "evaluation": protocol,
             "stream": [dataset, algorithm, policy.config["seed"]],
         },
@@ -216,13 +218,13 @@ def model_choice(settings: Settings) -> ModelChoice:
     return choose_models(settings, _needed_models(settings), data)
 
 
-def check_lengths(settings: Settings, model: Any) -> None:
+def check_lengths(settings: Settings, dataset: str, model: Any) -> None:
     """Refuse trajectories that are too short for a recurrent ensemble.
 
     Raises:
         SettingsError: They are.
     """
-    if settings.data.steps < model.warm_up + model.horizon:
+    if settings.dataset[dataset].steps < model.warm_up + model.horizon:
         raise SettingsError(
             f"data.steps={settings.data.steps} is less than warm_up + horizon = "
             f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
@@ -241,9 +243,9 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
         SettingsError: If the trajectories are too short for the models.
     """
     choice = choice or model_choice(settings)
-    for (_, name), config in choice.configs.items():
+    for (dataset, name), config in choice.configs.items():
         if name == "recurrent_ensemble":
-            check_lengths(settings, config)
+            check_lengths(settings, dataset, config)
     nodes = []
     for dataset in settings.datasets:
         data = _data_node(settings, dataset)

@@ -6,9 +6,11 @@ They order the work and open the estimate; once nodes have finished, their times
 from itertools import pairwise
 from typing import Any
 
+from components.data.industrial import IndustrialSpec
+from components.data.robots import RobotSpec
 from components.models.mlp_config import MLPEnsembleConfig
 
-__all__ = ["model_cost", "policy_cost"]
+__all__ = ["data_cost", "model_cost", "policy_cost"]
 
 _ROW_COST = {
     "bc": 6e-6,
@@ -23,6 +25,13 @@ _ROW_COST = {
     "mopo": 5.6e-5,
 }
 """Per transition of a batch."""
+
+
+def data_cost(spec: IndustrialSpec | RobotSpec) -> float:
+    """Core-seconds of a dataset."""
+    if isinstance(spec, RobotSpec):
+        return 1.5e-4 * spec.transitions
+    return 1e-5 * spec.trajectories * spec.steps
 
 
 def model_cost(name: str, model: Any) -> float:

@@ -32,6 +32,7 @@ class DataSettings(Strict):
     seed: int = Field(ge=0)
     trajectories: int = Field(ge=2)
     steps: int = Field(ge=1)
+    transitions: int = Field(ge=1)
 
 
 class TrainingSettings(Strict):

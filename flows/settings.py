@@ -6,7 +6,7 @@ choices.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
+from components.data.catalogue import spec_kind
 from components.data.experts.online import ExpertConfig
 from components.data.industrial import IndustrialSpec
-from components.data.robots import ROBOTS
+from components.data.robots import ROBOTS, RobotSpec
 from components.evaluation.real import EvaluationConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
@@ -83,7 +84,7 @@ class Settings(Strict):
     model_words: dict[str, str]
     store: Path
     dry_run: bool
-    dataset: dict[str, IndustrialSpec]
+    dataset: dict[str, IndustrialSpec | RobotSpec]
     algorithm: dict[str, Any]
     model: dict[str, Any]
     special: dict[str, dict[str, dict[str, Any]]]
@@ -157,10 +158,8 @@ def _check(
     values["seeds"] = _seeds(values["seeds"])
     try:
         data = build_config(DataSettings, "data", values["data"])
-        sizes = {"trajectories": data.trajectories, "steps": data.steps}
         values["dataset"] = {
-            name: build_config(IndustrialSpec, f"dataset.{name}", {"name": name, **fields, **sizes})
-            for name, fields in _of_specs(values["dataset"])
+            name: _spec(name, fields, data) for name, fields in values["dataset"].items()
         }
         kinds = {"algorithm": _algorithm_configs(), "model": _model_configs()}
         for group, known in kinds.items():
@@ -199,11 +198,17 @@ def _check(
     return settings
 
 
-def _of_specs(datasets: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What datasets are made of, without what they say about algorithms and models."""
-    for name, fields in datasets.items():
-        check_group(f"dataset.{name}", fields)
-        yield name, {k: v for k, v in fields.items() if k not in ("domain", "algorithm", "model")}
+def _spec(name: str, fields: Any, data: DataSettings) -> IndustrialSpec | RobotSpec:
+    """What a dataset is made of, without what its file says about algorithms and models."""
+    check_group(f"dataset.{name}", fields)
+    own = {k: v for k, v in fields.items() if k not in ("domain", "algorithm", "model")}
+    kind = spec_kind(own)
+    known = {field.name for field in dataclasses.fields(kind)}
+    sizes = {k: v for k, v in data.model_dump(exclude={"seed"}).items() if k in known}
+    spec: IndustrialSpec | RobotSpec = build_config(
+        kind, f"dataset.{name}", {"name": name, **own, **sizes}
+    )
+    return spec
 
 
 def _special_configs(

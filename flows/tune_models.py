@@ -127,7 +127,7 @@ def _run(settings: Settings) -> int:
     found = subjects(settings)
     for subject in found:
         if subject.model == "recurrent_ensemble":
-            check_lengths(settings, subject.start)
+            check_lengths(settings, subject.dataset, subject.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:
