@@ -186,7 +186,8 @@ class Learner(SoftActorCritic):
     def _roll_out(self, number: int) -> dict[str, Tensor]:
         """Write roll-out ``number``, from 0, over the oldest one kept; metrics of it.
 
-        Metrics show the penalty before lambda and the reward before the penalty.
+        Metrics show the penalty before lambda and the reward before the penalty, of all steps: also
+        of those after a fall, which are never drawn.
 
         Trajectories are made in chunks, which bounds the memory. Whatever is counted here follows
         from the step: nothing but the ring itself has to be remembered.
