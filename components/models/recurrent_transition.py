@@ -28,13 +28,15 @@ class RecurrentTransition:
         self.low = torch.stack([e.low for e in ensembles]).to(device)
         self.high = torch.stack([e.high for e in ensembles]).to(device)
         self.target_scale = torch.ones_like(self.low)
-        # [L * M, H, ...]; columns of what a group does not read back are zero.
+        # [L * M, H, ...]; columns of what a group does not read back shall not be read.
         self._weight = torch.cat([e.weight for e in ensembles]).to(device)
         self._readout = torch.cat([e.readout for e in ensembles]).to(device)
         # Groups, members, outputs: the axes of what all networks of a lane read out.
         self._shape = (len(first.feedback.reads), self.members, first.readout.shape[1])
-        adds = first.feedback.adds.to(device)
-        self._looped = adds.shape[1]
+        reads, adds = first.feedback.reads.to(device), first.feedback.adds.to(device)
+        self._looped = reads.shape[1]
+        of_networks = reads.repeat_interleave(self.members, dim=0).repeat(len(ensembles), 1)
+        self._weight[:, :, -1 - self._looped : -1] *= of_networks[:, None]
         every = torch.zeros(self._shape[0], self._shape[2], device=device)
         every[:, : self._looped] = adds
         self._adds = every.view(1, -1, 1, 1) if first.feedback.sums else None
