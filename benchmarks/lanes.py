@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.recurrent import FATIGUE_ALONE
 from components.algorithms import ALGORITHMS
 from components.algorithms.base import Ingredients
 from components.data.catalogue import DATASETS, generate
@@ -88,6 +89,8 @@ def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:
         Normaliser.fit(dataset.frames),
         -limit,
         limit,
+        FATIGUE_ALONE,
+        dataset.card.history,
     )
 
 

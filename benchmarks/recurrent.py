@@ -15,12 +15,13 @@ from torch import Tensor, nn
 
 from benchmarks.measure import machine, markdown, median_seconds
 from components.models.recurrent_ensemble import (
-    INPUTS,
+    Feedback,
     RecurrentEnsembleConfig,
     predict_windows,
 )
 
 __all__ = [
+    "FATIGUE_ALONE",
     "PlainNetwork",
     "plain_networks",
     "plain_pass",
@@ -28,6 +29,12 @@ __all__ = [
     "report",
     "stacked_pass",
 ]
+
+
+KNOWN = 4
+"""Known features of the Industrial Benchmark."""
+FATIGUE_ALONE = Feedback.stored(torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1))
+"""There the networks of fatigue read their own values back, those of consumption do not."""
 
 
 class PlainNetwork(nn.Module):
@@ -55,7 +62,7 @@ class PlainNetwork(nn.Module):
         hidden = windows.new_zeros(windows.shape[1], self.recurrent.shape[0])
         predictions: list[Tensor] = []
         for step, window in enumerate(windows):
-            steering, own = window[:, : len(INPUTS)], window[:, len(INPUTS) :]
+            steering, own = window[:, :KNOWN], window[:, KNOWN:]
             if self.feeds_back and step > warm_up:
                 own = predictions[-1]
             x = torch.cat([steering, own], dim=1)
@@ -83,7 +90,7 @@ def random_problem(
         drawn = torch.rand(shape, generator=generator) * 2.0 - 1.0
         return (drawn * width**-0.5).to(device)
 
-    windows = torch.randn(steps, cells, len(INPUTS) + 1, config.batch, generator=generator)
+    windows = torch.randn(steps, cells, KNOWN + 1, config.batch, generator=generator)
     targets = torch.randn(config.horizon, cells, config.batch, generator=generator)
     weight, readout = uniform(cells, width, width + 6), uniform(cells, 1, width + 1)
     windows[:, config.members :, -1] = 0.0
@@ -109,7 +116,7 @@ def stacked_pass(
 ) -> Tensor:
     """Losses `[M]` of all networks at once; gradients are left in `weight` and `readout`."""
     weight.grad = readout.grad = None
-    predictions = predict_windows(weight, readout, windows, config)
+    predictions = predict_windows(weight, readout, windows, config.warm_up, FATIGUE_ALONE)
     losses = (predictions - targets).square().mean(dim=(0, 2))
     losses.sum().backward()
     return losses.detach()

@@ -23,8 +23,8 @@ from components.algorithms.base import first_rows
 from components.algorithms.wsbc import Config
 from components.data.catalogue import DATASETS, generate
 from components.data.lanes import LaneData
+from components.data.machine import MachineRule
 from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.models.rollout import INPUTS, MachineRule
 from components.networks.policy import Policy
 from components.networks.training import Learner
 from flows.memory import keep_freed_memory
@@ -56,14 +56,14 @@ def plain_return(
         horizon: Steps.
         discount: gamma.
     """
-    width, count, device = ensemble.weight.shape[1], len(INPUTS), start.device
+    width, count, device = ensemble.weight.shape[1], len(rule.known), start.device
     cells = [
         (w[:, :width].T, w[:, width:-1].T, w[:, -1], r[:, :-1].T, r[:, -1])
         for w, r in zip(ensemble.weight.to(device), ensemble.readout.to(device), strict=True)
     ]
     frames, policy = ensemble.frames.to(device), policy.to(device)
     low, high = ensemble.low.to(device), ensemble.high.to(device)
-    moves, weights = (torch.tensor(t, device=device) for t in (rule.action_scale, rule.reward))
+    moves, weights = (torch.tensor(t, device=device) for t in (rule.scale, rule.reward))
     hidden = [start.new_zeros(len(start), width) for _ in cells]
 
     def advance(inputs: Tensor, own: Tensor) -> list[Tensor]:

@@ -25,8 +25,8 @@ __all__ = [
 ]
 
 COMPONENTS = {
-    "data_generation": 1,
-    "model_fitting": 3,
+    "data_generation": 2,
+    "model_fitting": 4,
     "policy_training": 2,
     "evaluation": 2,
     "aggregation": 2,

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
-from components.models.rollout import MachineRule
+from components.data.machine import MachineRule
 from components.networks.checkpoint import (
     load_optimizer_state,
     module_state,
@@ -147,8 +147,22 @@ def saturation(actions: Tensor) -> Tensor:
     return (actions.detach().abs() > SATURATED).flatten(1).float().mean(dim=1)
 
 
-def first_rows(dataset: OfflineDataset, window: int) -> npt.NDArray[np.int64]:
-    """Transitions among the first ``window`` of their episode, ``[<= E * window]``."""
-    starts, ends = dataset.episode_starts[:-1], dataset.episode_starts[1:]
-    rows = starts[:, None] + np.arange(window)
-    return rows[rows < ends[:, None]]
+def first_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
+    """Transitions among the first ``window`` of their episode, ``[<= E * window]``.
+
+    Args:
+        dataset: The log.
+        window: Steps of an episode.
+        after: Of these, so many at its beginning do not count.
+
+    Raises:
+        ValueError: If no episode is longer than ``after``.
+    """
+    step = np.arange(dataset.transitions) - dataset.episode_starts[dataset.episode_index()]
+    found = np.flatnonzero((after <= step) & (step < window))
+    if not len(found):
+        raise ValueError(
+            f"No trajectory of {dataset.card.name} has a step among its first {window} but not "
+            f"among its first {after}; lower start_after."
+        )
+    return found

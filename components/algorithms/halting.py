@@ -84,8 +84,9 @@ class Detector(nn.Module):
         found = torch.empty(data.lanes, len(longest), device=data.device)
         for rows in longest.split(max(1, CHUNK // data.lanes)):
             index = torch.minimum(rows, last)  # shorter logs repeat their last row, cut off below
-            history = data.denormalise_history(data.observations(index))
-            [step] = machine.unroll(history, partial(_acting, data.actions(index)), 1)
+            history, recorded = data.recorded(index, machine.model.memory)
+            act = partial(_acting, data.actions(index))
+            [step] = machine.unroll(history, act, 1, recorded=recorded)
             found[:, rows] = self(step.prediction)
         return [doubts[:count] for doubts, count in zip(found, data.counts, strict=True)]
 
@@ -205,19 +206,31 @@ class PessimisticMachine:
         self._machine, self._detector, self._followed = machine, detector, followed
         self._halt_reward, self._discount = halt_reward, discount
 
+    @property
+    def memory(self) -> int:
+        """Machine frames that trajectories begin with."""
+        return self._machine.model.memory
+
     @torch.no_grad()
     def roll_out(
-        self, begin: Tensor, history: Tensor, act: Callable[[Tensor], Tensor]
+        self,
+        begin: Tensor,
+        history: Tensor,
+        recorded: Tensor,
+        act: Callable[[Tensor], Tensor],
     ) -> tuple[Trajectories, Halted]:
         """Let policies act for T steps; halted trajectories go on, but do not count any more.
 
         Args:
             begin: ``[L, B, H * F]`` observations at the start.
             history: ``[L, B, H, F]`` the same as raw frames.
+            recorded: ``[L, B, G, M]`` the same as raw machine frames.
             act: See :meth:`~components.models.rollout.VirtualMachine.unroll`.
         """
         frames, rewards, doubts = [], [], []
-        for step in self._machine.unroll(history, act, len(self._followed), self._followed):
+        for step in self._machine.unroll(
+            history, act, len(self._followed), self._followed, recorded=recorded
+        ):
             frames.append(step.frames)
             rewards.append(step.rewards)
             doubts.append(self._detector(step.prediction))

@@ -51,6 +51,7 @@ class Config:
     beta: float = 0.1  # both parameters of lambda's Beta distribution
     eta: float = 0.1  # weight of the cloning term at lambda = 0
     start_window: int = 30  # start states: the first so many steps of every trajectory
+    start_after: int = 0  # but not the first so many of them, whose past is not all recorded
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -63,6 +64,8 @@ class Config:
             raise ValueError(
                 "updates, hidden, trajectories, horizon and start_window must be at least 1."
             )
+        if not 0 <= self.start_after < self.start_window:
+            raise ValueError("start_after must not be negative and lie below start_window.")
         if self.learning_rate <= 0 or self.beta <= 0 or self.eta < 0:
             raise ValueError("learning_rate and beta must be positive and eta not negative.")
         if not 0 < self.discount <= 1:
@@ -90,7 +93,9 @@ class Learner(StackedLearner):
     def _draws(self) -> dict[str, Draw]:
         batch, beta = self._config.trajectories, self._config.beta
         return {
-            "start": self._returns.start_draw(batch, self._config.start_window),
+            "start": self._returns.start_draw(
+                batch, self._config.start_window, self._config.start_after
+            ),
             "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, batch)).astype("f4"),
             "clone": self._data.row_draw(batch),
         }

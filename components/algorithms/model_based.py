@@ -41,6 +41,7 @@ class Config:
     horizon: int = 100  # steps of a virtual trajectory
     discount: float = 0.97  # gamma
     start_window: int = 30  # start states: the first so many steps of every trajectory
+    start_after: int = 0  # but not the first so many of them, whose past is not all recorded
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -53,6 +54,8 @@ class Config:
             raise ValueError(
                 "updates, hidden, trajectories, horizon and start_window must be at least 1."
             )
+        if not 0 <= self.start_after < self.start_window:
+            raise ValueError("start_after must not be negative and lie below start_window.")
         if self.learning_rate <= 0:
             raise ValueError(f"learning_rate must be positive, got {self.learning_rate}.")
         if not 0 < self.discount <= 1:
@@ -72,8 +75,10 @@ class Learner(StackedLearner):
         self._optimizer = adam(list(self._actor.parameters()), config.learning_rate)
         self._networks = {"policy": self._actor}
         self._optimizers = {"policy": self._optimizer}
-        draws = {"start": self._returns.start_draw(config.trajectories, config.start_window)}
-        self._streams = LaneStreams(parts.keys, draws, device)
+        start = self._returns.start_draw(
+            config.trajectories, config.start_window, config.start_after
+        )
+        self._streams = LaneStreams(parts.keys, {"start": start}, device)
 
     # -- update -----------------------------------------------------------------------------
 

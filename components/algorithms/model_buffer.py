@@ -4,6 +4,9 @@ A trajectory of T steps is kept as the logged row it began at and its T new fram
 rewards. Its observations are put together when a batch is drawn: behind the start's recorded
 history stand the new frames, newest first, so that every observation is one run of memory.
 Stacked histories, thirty times as wide, are never stored.
+
+A trajectory may end before its T steps are over. What was made after its end is never drawn: its
+steps up to there are drawn the more often, again from the first one on.
 """
 
 from collections.abc import Sequence
@@ -29,6 +32,7 @@ class ModelBuffer(nn.Module):
     frames: Tensor  # [L, C, T, F] scaled, newest first: step t stands at T - 1 - t
     actions: Tensor  # [L, C, T, A]
     rewards: Tensor  # [L, C, T]
+    ended: Tensor  # [L, C] step after which a state is terminal, or T if none is
 
     def __init__(self, data: LaneData, capacity: int, length: int) -> None:
         super().__init__()
@@ -38,6 +42,8 @@ class ModelBuffer(nn.Module):
         self.register_buffer("frames", torch.zeros((*shape, data.frame_width), device=device))
         self.register_buffer("actions", torch.zeros((*shape, data.action_width), device=device))
         self.register_buffer("rewards", torch.zeros(shape, device=device))
+        never = torch.full(shape[:2], length, dtype=torch.int16, device=device)
+        self.register_buffer("ended", never)
 
     def write(
         self,
@@ -46,6 +52,7 @@ class ModelBuffer(nn.Module):
         frames: Sequence[Tensor],
         actions: Sequence[Tensor],
         rewards: Sequence[Tensor],
+        ended: Tensor | None = None,
     ) -> None:
         """Put N trajectories at ``place`` and after it.
 
@@ -55,20 +62,22 @@ class ModelBuffer(nn.Module):
             frames: T frames ``[L, N, F]`` after each action, oldest first.
             actions: T actions ``[L, N, A]``.
             rewards: T rewards ``[L, N]``.
+            ended: ``[L, N]`` first step after which the state is terminal, or T; None: no
+                trajectory has ended.
         """
         places = slice(place, place + start.shape[1])
         self.start[:, places] = start
         self.frames[:, places] = torch.stack([*reversed(frames)], dim=2)
         self.actions[:, places] = torch.stack([*actions], dim=2)
         self.rewards[:, places] = torch.stack([*rewards], dim=2)
+        self.ended[:, places] = self._length if ended is None else ended.to(self.ended.dtype)
 
     def batch(self, index: Tensor) -> Batch:
-        """Transitions ``index [L, B]``; number ``n T + t`` is step t of the trajectory at place n.
-
-        Virtual trajectories do not end: the machine never does.
-        """
+        """Transitions ``index [L, B]``: ``n T + t`` is step t of the trajectory at place n."""
         place, step = index // self._length, index % self._length
         lane = torch.arange(len(index), device=index.device)[:, None]
+        ended = self.ended[lane, place].long()
+        step = step % (ended + 1)  # at most T - 1, and so itself, where nothing has ended
         recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
         whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
         # One frame more than a history, for the next observation's newest one.
@@ -85,5 +94,5 @@ class ModelBuffer(nn.Module):
             actions=self.actions[lane, place, step],
             rewards=rewards,
             next_observations=window[:, :, :seen],
-            continues=torch.ones_like(rewards),
+            continues=(step != ended).to(rewards.dtype),
         )

@@ -151,7 +151,7 @@ class Learner(StackedLearner):
     # -- losses -----------------------------------------------------------------------------
 
     def _virtual(
-        self, part: _Part, history: Tensor, latent: Tensor
+        self, part: _Part, history: Tensor, latent: Tensor, recorded: Tensor | None = None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What virtual trajectories bring and cost.
 
@@ -159,6 +159,7 @@ class Learner(StackedLearner):
             part: Some lanes.
             history: Their start states ``[L, B, H, F]``, raw.
             latent: Standard normal ``[L, T, K * B, Z]``.
+            recorded: The start states as machine frames ``[L, B, G, M]``, if these are others.
 
         Returns:
             Discounted returns and penalties of every member's trajectories, ``[L, K, B]``
@@ -174,18 +175,20 @@ class Learner(StackedLearner):
             saturated.append(saturation(actions))
             return actions
 
-        steps = part.machine.unroll(history, act, self._config.horizon, "isolated")
+        steps = part.machine.unroll(
+            history, act, self._config.horizon, "isolated", recorded=recorded
+        )
         returns = discounted_sum([step.rewards for step in steps], self._config.discount)
         penalty = discounted_sum(penalties, self._config.penalty_discount)
         by_member = (len(returns), -1, history.shape[1])
         return returns.view(by_member), penalty.view(by_member), torch.stack(saturated).mean(dim=0)
 
     def _loss(
-        self, part: _Part, history: Tensor, latent: Tensor
+        self, part: _Part, history: Tensor, latent: Tensor, recorded: Tensor | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Loss ``[L]`` of some lanes, and metrics; arguments as above."""
         weight = self._config.return_weight
-        returns, penalty, saturated = self._virtual(part, history, latent)
+        returns, penalty, saturated = self._virtual(part, history, latent, recorded)
         estimate = lanewise_mean(mixed_return(returns, self._config.minimum_weight))
         cost = lanewise_mean(penalty)
         loss = -weight * estimate + (1.0 - weight) * cost
@@ -204,11 +207,13 @@ class Learner(StackedLearner):
     def update(self, step: int) -> dict[str, Tensor]:
         """One policy update on all lanes, part by part: together they would fill the memory."""
         drawn = self._streams.at(step)
-        history = self._data.denormalise_history(self._data.observations(drawn["start"]))
+        memory = self._parts[0].machine.model.memory
+        history, recorded = self._data.recorded(drawn["start"], memory)
+        given = (history, drawn["latent"], recorded)
         found = []
         for part in self._parts:
             part.actor.zero_grad(set_to_none=True)
-            loss, metrics = self._loss(part, history[part.lanes], drawn["latent"][part.lanes])
+            loss, metrics = self._loss(part, *(tensor[part.lanes] for tensor in given))
             loss.sum().backward()
             found.append(metrics)
         gather_gradients(self._actor, [part.actor for part in self._parts])

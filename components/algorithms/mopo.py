@@ -10,6 +10,10 @@ the current policies are rolled out from recorded states drawn uniformly from th
     u  = max over all members k of ||std_k(s, a)||
     stored reward = r(s') - lambda u
 
+A trajectory ends where the next state has fallen, by the authors' hand-written function of each
+task: it is read off the dataset's card, ``machine["healthy"]``, ranges of frame features that only
+this algorithm looks at. A card without one tells of a machine that never falls.
+
 The ring keeps the last ``retained_rollouts`` roll-outs. An update is one step of
 :mod:`~components.algorithms.soft_actor_critic` on a batch of which a share ``real_ratio`` was
 logged, with its rewards as they are, and the rest is virtual.
@@ -19,17 +23,17 @@ here it is -A), not 1e-4 with a decay; the penalty over all members, not the eli
 of the sampled frame, not of the mean. Authors do not clip predictions to the range of the data, so
 ``free`` is the default and ``data`` an option; the share that lies outside is logged either way.
 
-On this machine: steerings follow from the action exactly and the rest of a history is a shift, so
-the deviations are those of fatigue and consumption, in units of a standardised target (raw units
-differ by orders of magnitude). The reward is a known function of the new frame and is not predicted
-beside it. The machine never ends: nothing is masked, and all trajectories last their T steps. Of
-256 transitions the authors' code takes int(12.8) logged ones, here they are rounded.
+Known features follow from the action exactly and the rest of a history is a shift, so the
+deviations are those of the learned features, in units of a standardised target (raw units differ by
+orders of magnitude). Where the reward is a known function of the new frame, as on the Industrial
+Benchmark, it is not predicted beside it. Of 256 transitions the authors' code takes int(12.8)
+logged ones, here they are rounded.
 
 Deviations: initial weights are PyTorch's; frames are standardised. gamma and the 100 epochs of
 1,000 updates are the thesis's; it does not say how long its roll-outs were.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -38,10 +42,9 @@ from torch import Tensor
 from components.algorithms.base import Ingredients
 from components.algorithms.model_buffer import ModelBuffer
 from components.algorithms.soft_actor_critic import SoftActorCritic
-from components.data.lanes import Batch
+from components.data.lanes import Batch, LaneData
 from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
 from components.models.rollout import (
-    TARGETS,
     Prediction,
     PredictionRange,
     VirtualMachine,
@@ -126,6 +129,7 @@ class Learner(SoftActorCritic):
         self._machine = VirtualMachine(
             self._model, parts.machine, data.frame_scaling, device, config.prediction_range
         )
+        self._healthy = healthy_ranges(data)
         capacity = config.retained_rollouts * config.rollouts
         self._buffer = ModelBuffer(data, capacity, config.rollout_length)
         self._networks = {**self._networks, "buffer": self._buffer}
@@ -149,7 +153,7 @@ class Learner(SoftActorCritic):
             {
                 "start": data.row_draw(self._chunk),
                 "elite": lambda g, lane, steps: g.integers(elites, size=(steps, *several)),
-                "frame": normal_draw(*several, len(TARGETS)),
+                "frame": normal_draw(*several, self._model.low.shape[1]),
                 "action": normal_draw(*several, acted),
             },
             device,
@@ -168,19 +172,22 @@ class Learner(SoftActorCritic):
 
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
+        history, recorded = self._data.recorded(drawn["start"], self._model.memory)
         return self._machine.unroll(
-            self._data.denormalise_history(self._data.observations(drawn["start"])),
+            history,
             act,
             self._config.rollout_length,
             propagation=elites[lane, drawn["elite"]].permute(2, 0, 1),
             noise=drawn["frame"].permute(2, 0, 3, 1),
+            recorded=recorded,
         )
 
     @torch.no_grad()
     def _roll_out(self, number: int) -> dict[str, Tensor]:
         """Write roll-out ``number``, from 0, over the oldest one kept; metrics of it.
 
-        Metrics show the penalty before lambda and the reward before the penalty.
+        Metrics show the penalty before lambda and the reward before the penalty, of all steps: also
+        of those after a fall, which are never drawn.
 
         Trajectories are made in chunks, which bounds the memory. Whatever is counted here follows
         from the step: nothing but the ring itself has to be remembered.
@@ -200,6 +207,7 @@ class Learner(SoftActorCritic):
                 [step.frames for step in steps],
                 [step.actions for step in steps],
                 [s.rewards - config.penalty * u for s, u in zip(steps, doubts, strict=True)],
+                self._ended(steps),
             )
             seen += [
                 torch.stack([doubt, step.rewards, self._outside(step)], dim=1)
@@ -211,6 +219,15 @@ class Learner(SoftActorCritic):
             "model/virtual_reward": reward.mean(dim=1),
             "model/outside_share": outside.mean(dim=1),
         } | {f"model/penalty_{percent}": percentile(doubt, percent) for percent in PERCENTILES}
+
+    def _ended(self, steps: Sequence[VirtualStep]) -> Tensor | None:
+        """First step of trajectories after which they have fallen, or T: ``[L, N]``."""
+        if self._healthy is None:
+            return None
+        low, high = self._healthy
+        frames = torch.stack([step.frames for step in steps])  # [T, L, N, F]
+        stands = ((low < frames) & (frames < high)).all(dim=-1)
+        return stands.long().cumprod(dim=0).sum(dim=0)
 
     def _outside(self, step: VirtualStep) -> Tensor:
         """1 where a frame was drawn outside the range of the training data, else 0: ``[L, B]``."""
@@ -243,6 +260,34 @@ class Learner(SoftActorCritic):
             metrics = self._roll_out(step // self._config.rollout_every)
         drawn = self._streams.at(step)
         return metrics | self.improve(self._batch(drawn, step), drawn["next"], drawn["actor"])
+
+
+def healthy_ranges(data: LaneData) -> tuple[Tensor, Tensor] | None:
+    """Limits ``[L, 1, F]`` of scaled frames between which a machine stands; None if none falls.
+
+    A card names frame features with their least and largest value; null is no limit.
+
+    Raises:
+        ValueError: If it names anything else.
+    """
+    limits = torch.empty(2, data.lanes, data.frame_width)
+    limits[0], limits[1] = -torch.inf, torch.inf
+    for lane, dataset in enumerate(data.datasets):
+        card = dataset.card
+        for name, ends in card.machine.get("healthy", {}).items():
+            if name not in card.frame_features:
+                raise ValueError(
+                    f"The card of {card.name} has a healthy range of {name!r}, which is no feature "
+                    f"of its frames {card.frame_features}."
+                )
+            for side, end in enumerate(ends):
+                if end is not None:
+                    limits[side, lane, card.frame_features.index(name)] = end
+    if not limits.isfinite().any():
+        return None
+    scaling = data.frame_scaling
+    low, high = scaling.apply(limits.to(data.device))[:, :, None]
+    return low, high
 
 
 def uncertainty(prediction: Prediction) -> Tensor:

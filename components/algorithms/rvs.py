@@ -9,7 +9,7 @@ the return that the log achieved from there:
 
 Deployed is the mean, clipped to the action box, for a wanted return that is held for the whole
 episode. Here the operator's dial sets it: lambda = 0 asks for the log's mean, lambda = 1 for the
-best it ever achieved over 100 steps.
+best it ever achieved over 100 steps. After a true terminal nothing is earned any more.
 
 The authors condition on the average reward to go; the thesis speaks of the return, on whose
 discounted scale its figure is drawn, so that is taken, over the window in which policies are
@@ -67,8 +67,10 @@ def _achieved(dataset: OfflineDataset, config: Config) -> tuple[np.ndarray, np.n
     """Transitions that begin a whole window, and its return."""
     rows, returns = [], []
     for start, end in zip(dataset.episode_starts[:-1], dataset.episode_starts[1:], strict=True):
-        if end - start >= config.window:
-            of_episode = window_returns(dataset.rewards[start:end], config.discount, config.window)
+        absorbed = config.window - 1 if dataset.terminated[end - 1] else 0
+        if end - start + absorbed >= config.window:
+            earned = np.pad(dataset.rewards[start:end], (0, absorbed))
+            of_episode = window_returns(earned, config.discount, config.window)
             rows.append(start + np.arange(len(of_episode)))
             returns.append(of_episode)
     if not rows:

@@ -35,13 +35,13 @@ class VirtualReturns:
         )
         self.scale = torch.tensor(parts.mean_window_returns, device=device).abs()[:, None]
 
-    def start_draw(self, batch: int, window: int) -> Draw:
-        """Drawing rule of start states: among the first ``window`` steps of trajectories."""
-        starts = [first_rows(dataset, window) for dataset in self._data.datasets]
+    def start_draw(self, batch: int, window: int, after: int) -> Draw:
+        """Drawing rule of start states, see :func:`~components.algorithms.base.first_rows`."""
+        starts = [first_rows(dataset, window, after) for dataset in self._data.datasets]
         return lambda g, lane, steps: g.choice(starts[lane], size=(steps, batch))
 
     def of(self, start: Tensor, act: Callable[[Tensor], Tensor]) -> Tensor:
         """Scaled discounted returns ``[L, B]`` from the logged states ``start [L, B]`` on."""
-        history = self._data.denormalise_history(self._data.observations(start))
-        steps = self._machine.unroll(history, act, self._horizon)
+        history, recorded = self._data.recorded(start, self._machine.model.memory)
+        steps = self._machine.unroll(history, act, self._horizon, recorded=recorded)
         return discounted_sum([step.rewards for step in steps], self._discount) / self.scale

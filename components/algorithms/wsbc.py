@@ -67,6 +67,7 @@ class Config:
     horizon: int = 100  # steps of a virtual trajectory
     discount: float = 0.97  # gamma
     start_window: int = 1000  # start states: the first so many steps of every trajectory
+    start_after: int = 0  # but not the first so many of them, whose past is not all recorded
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -79,6 +80,8 @@ class Config:
             raise ValueError(
                 "updates, particles, starts, horizon and start_window must be at least 1."
             )
+        if not 0 <= self.start_after < self.start_window:
+            raise ValueError("start_after must not be negative and lie below start_window.")
         if self.neighbourhood % 2 == 0 or not 1 <= self.neighbourhood <= self.particles:
             raise ValueError(
                 "neighbourhood must be odd and at most the number of particles, got "
@@ -105,9 +108,11 @@ class Learner(StackedLearner):
         self._machine = VirtualMachine(
             RecurrentTransition(ensembles, device), parts.machine, self._behaviour.frames, device
         )
-        self._history = self._start_histories(parts.keys)
+        starts = self._starts(parts.keys)
+        self._history, recorded = data.recorded(starts, self._machine.model.memory)
         # What the ensemble remembers of the record before the start: the same for all particles.
-        self._begun = self._machine.model.begin(self._history[:, None])
+        self._begun = self._machine.model.begin(recorded[:, None])
+        self._newest = recorded[:, :, :1]
         self._centre = torch.cat(
             [t.flatten(1) for layer in self._behaviour.layers for t in layer], 1
         )
@@ -125,17 +130,17 @@ class Learner(StackedLearner):
             block=1,  # two numbers per weight of every particle fill memory
         )
 
-    def _start_histories(self, keys: Sequence[int]) -> Tensor:
-        """Raw frames ``[L, S, H, F]`` of the start states, newest first."""
+    def _starts(self, keys: Sequence[int]) -> Tensor:
+        """Transitions ``[L, S]`` in whose states virtual trajectories start."""
         config, data = self._config, self._data
+        window, after = config.start_window, config.start_after
         rows = [
-            generator.choice(first_rows(dataset, config.start_window), size=config.starts)
+            generator.choice(first_rows(dataset, window, after), size=config.starts)
             for generator, dataset in zip(
                 spawn_generators(keys, "start"), data.datasets, strict=True
             )
         ]
-        start = torch.from_numpy(np.stack(rows)).to(data.device)
-        return data.denormalise_history(data.observations(start))
+        return torch.from_numpy(np.stack(rows)).to(data.device)
 
     def _first_swarm(self, keys: Sequence[int]) -> Swarm:
         """The clone itself, and the other particles uniformly in the box around it."""
@@ -176,11 +181,16 @@ class Learner(StackedLearner):
         """Mean virtual returns ``[L, C]`` of the policies at ``positions [L, C, D]`` (5.17)."""
         lanes, count, _ = positions.shape
         layers = self._layers(positions)
+        history, newest = (
+            frames[:, None].expand(-1, count, -1, -1, -1).flatten(1, 2)
+            for frames in (self._history, self._newest)
+        )
         steps = self._machine.unroll(
-            self._history[:, None].expand(-1, count, -1, -1, -1).flatten(1, 2),
+            history,
             lambda observations: self._act(layers, observations),
             self._config.horizon,
             state=self._begun[:, :, None].expand(-1, -1, count, -1).flatten(2),
+            recorded=newest,
         )
         returns = discounted_sum([step.rewards for step in steps], self._config.discount)
         return returns.view(lanes, count, -1).mean(dim=2)

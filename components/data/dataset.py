@@ -71,9 +71,10 @@ class DatasetCard:
         history: frames in an observation, newest first.
         frame_features: names of the values of a frame.
         action_features: names of the values of an action, each in [-1, 1].
-        machine: what is known of the machine without learning: `action_scale` (change of each
-            steering per unit of action), `steering_low`, `steering_high`, and `reward` (weight of
-            frame features in a frame's reward).
+        machine: what is known of the machine without learning, see `machine.py`: `known`
+            (`features`, whose last ones follow the actions, and what these `keep`, `scale`, `low`
+            and `high`), `learned` (features to be predicted) and `reward` (weights of these);
+            optionally `healthy` (ranges of frame features outside of which it has fallen).
         simulator: name and version of the physics engine; empty where it is this package.
         return_steps: window length of all returns below; after a terminal state rewards are 0.
         first_window_return_mean: mean over episodes of the return of the first window, the

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from components.data.dataset import OfflineDataset
 from components.data.history import newest_first
+from components.data.machine import MachineRule, machine_frames
 from components.data.normaliser import Normaliser
 
 __all__ = ["Batch", "LaneData"]
@@ -78,23 +79,21 @@ class LaneData:
         self.frame_scaling = Normaliser.stack([scalers[d.card.digest] for d in datasets]).to(device)
         self.counts = [d.transitions for d in datasets]  # transitions per lane
 
-        frame_offset = transition_offset = 0
-        offsets, tables = {}, []
-        newest, actions, rewards, continues = [], [], [], []
+        self._distinct = distinct
+        scaled = [
+            scalers[d.card.digest].apply(torch.from_numpy(np.array(d.frames))) for d in distinct
+        ]
+        # One frame more than a history, for the next observation's newest one.
+        self._frames, self._newest = self._laid_out(scaled, self.history + 1)
+        self._machine_frames: dict[int, tuple[Tensor, Tensor]] = {}
+        actions, rewards, continues = [], [], []
+        offsets, transition_offset = {}, 0
         for data in distinct:
             offsets[data.card.digest] = transition_offset
-            # One frame more than a history, for the next observation's newest one.
-            order, place = newest_first(data.episode_starts, self.history + 1)
-            frames = torch.from_numpy(np.array(data.frames[order]))
-            tables.append(scalers[data.card.digest].apply(frames))
-            newest.append(torch.from_numpy(place[data.frame_rows()] + frame_offset))
             actions.append(torch.from_numpy(np.array(data.actions)))
             rewards.append(torch.from_numpy(np.array(data.rewards)))
             continues.append(1.0 - torch.from_numpy(np.array(data.terminated, dtype=np.float32)))
-            frame_offset += len(order)
             transition_offset += data.transitions
-        self._frames = torch.cat(tables).to(device)
-        self._newest = torch.cat(newest).to(device)
         self._actions, self._rewards = torch.cat(actions).to(device), torch.cat(rewards).to(device)
         self._continues = torch.cat(continues).to(device)
         self._base = torch.tensor([offsets[d.card.digest] for d in datasets], device=device)[
@@ -118,7 +117,7 @@ class LaneData:
     def batch(self, index: Tensor) -> Batch:
         """Gather transitions ``index [L, B]``, counted within each lane's dataset."""
         flat = index + self._base
-        window = self._history(self._newest[flat] - 1, self.history + 1)
+        window = _runs(self._frames, self._newest[flat] - 1, self.history + 1)
         actions, rewards = self._actions[flat], self._rewards[flat]
         return Batch(
             observations=window[:, :, self.frame_width :],
@@ -131,20 +130,58 @@ class LaneData:
     def observations(self, index: Tensor) -> Tensor:
         """Normalised histories ``[L, B, O]`` of transitions ``index [L, B]``."""
         flat = index + self._base
-        return self._history(self._newest[flat], self.history)
+        return _runs(self._frames, self._newest[flat], self.history)
 
     def actions(self, index: Tensor) -> Tensor:
         """Logged actions ``[L, B, A]`` of transitions ``index [L, B]``."""
         return self._actions[index + self._base]
-
-    def _history(self, newest: Tensor, length: int) -> Tensor:
-        """Normalised histories ``[L, B, length * F]`` that begin with the table rows ``newest``."""
-        rows, width = self._frames.shape
-        windows = self._frames.as_strided((rows - length + 1, length * width), (width, 1))
-        return windows.index_select(0, newest.flatten()).view(*newest.shape, -1)
 
     def denormalise_history(self, observations: Tensor) -> Tensor:
         """Raw frames ``[L, B, H, F]`` of normalised histories ``[L, B, O]``."""
         frames = observations.view(*observations.shape[:-1], self.history, self.frame_width)
         scaling = self.frame_scaling
         return frames * scaling.scale[:, None, None] + scaling.mean[:, None, None]
+
+    def recorded(self, index: Tensor, frames: int) -> tuple[Tensor, Tensor]:
+        """What policies and models know of the past of transitions ``index [L, B]``.
+
+        Args:
+            index: Counted within each lane's dataset.
+            frames: G, machine frames that a model begins with.
+
+        Returns:
+            Raw histories ``[L, B, H, F]`` as policies see them, and raw machine frames, newest
+            first: ``[L, B, G, M]``, where the first one of an episode is repeated before it; or the
+            histories themselves, where policies see whole machine frames.
+        """
+        history = self.denormalise_history(self.observations(index))
+        rule = MachineRule.of_card(self.datasets[0].card)
+        if not rule.hides:
+            return history, history
+        if frames not in self._machine_frames:
+            tables = [torch.from_numpy(machine_frames(d, rule)) for d in self._distinct]
+            self._machine_frames[frames] = self._laid_out(tables, frames)
+        table, newest = self._machine_frames[frames]
+        found = _runs(table, newest[index + self._base], frames)
+        return history, found.view(*index.shape, frames, -1)
+
+    def _laid_out(self, tables: Sequence[Tensor], length: int) -> tuple[Tensor, Tensor]:
+        """Frames ``[N + E, F]`` of the distinct datasets, so that histories are runs of rows.
+
+        Returns:
+            One table of all of them, and the row of every transition's newest frame.
+        """
+        laid, newest, offset = [], [], 0
+        for data, frames in zip(self._distinct, tables, strict=True):
+            order, place = newest_first(data.episode_starts, length)
+            laid.append(frames[torch.from_numpy(order)])
+            newest.append(torch.from_numpy(place[data.frame_rows()] + offset))
+            offset += len(order)
+        return torch.cat(laid).to(self.device), torch.cat(newest).to(self.device)
+
+
+def _runs(table: Tensor, newest: Tensor, length: int) -> Tensor:
+    """Histories ``[L, B, length * F]`` that begin with the table's rows ``newest [L, B]``."""
+    rows, width = table.shape
+    windows = table.as_strided((rows - length + 1, length * width), (width, 1))
+    return windows.index_select(0, newest.flatten()).view(*newest.shape, -1)

@@ -42,9 +42,14 @@ STEERINGS: Final = ("velocity", "gain", "shift")
 
 _STEP_SIZES = np.array([[1.0], [10.0], [20.0 * math.sin(math.radians(15.0)) / 0.9]])
 MACHINE: Final[Mapping[str, Any]] = {
-    "action_scale": [float(size) for size in _STEP_SIZES[:, 0]],
-    "steering_low": 0.0,
-    "steering_high": 100.0,
+    "known": {
+        "features": ["setpoint", *STEERINGS],
+        "keep": [1.0] * 3,
+        "scale": [float(size) for size in _STEP_SIZES[:, 0]],
+        "low": 0.0,
+        "high": 100.0,
+    },
+    "learned": ["fatigue", "consumption"],
     "reward": {"fatigue": -0.03, "consumption": -0.01},
 }
 """What an operator knows without experiments: the effect of an action on the steerings, and the

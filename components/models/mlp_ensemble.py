@@ -1,10 +1,11 @@
 """Ensembles of multilayer perceptrons that predict one step of a partly observed machine.
 
-K members read the last frames, newest first, and the inputs of the next frame, which follow from
-the action exactly; they predict its targets (fatigue and consumption), either as values or as
-changes. Outputs are standardised: in units of ``target_scale`` around ``target_mean``, both in
-normalised feature units. Gaussian members predict a log variance for every target as well, kept
-inside learned bounds by softplus from both sides (Chua et al. 2018, as in MOPO).
+K members read the last frames that policies see, newest first, and the known features of the next
+machine frame, which follow from the action exactly; they predict its learned features, as values
+or, where policies see them, as changes. Outputs are standardised: in units of ``target_scale``
+around ``target_mean``, both in normalised feature units. Gaussian members predict a log variance
+for every target as well, kept inside learned bounds by softplus from both sides (Chua et al. 2018,
+as in MOPO).
 
 The three kinds in use, which differ in size, loss and schedule only: deterministic for MOOSE
 (thesis 5.1), Gaussian for MOPO, residual for MOReL. How they are trained is in
@@ -23,13 +24,13 @@ from torch.nn.functional import silu, softplus
 
 from components.data.normaliser import Normaliser
 from components.models.rescaling import read_in_scaling
-from components.models.rollout import TARGETS, Prediction
+from components.models.rollout import Prediction
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.stacked import Activation
 
 __all__ = ["ACTIVATIONS", "MLPEnsemble", "MLPTransition", "bounded_log_variance"]
 
-FORMAT = "mlp-ensemble/1"
+FORMAT = "mlp-ensemble/2"
 FILE = "ensemble.safetensors"
 
 ACTIVATIONS: Final = MappingProxyType[str, Activation]({"relu": torch.relu_, "swish": silu})
@@ -41,9 +42,10 @@ class MLPEnsemble:
 
     Attributes:
         layers: Weights ``[K, in, out]`` and biases ``[K, 1, out]``. Inputs are H frames, newest
-            first, then the next frame's inputs, all normalised; outputs are D standardised targets,
-            for Gaussian members D log variances after them.
-        frames: Scaling of the frame's features ``[F]``.
+            first, then the next machine frame's known features, all normalised; outputs are D
+            standardised targets, for Gaussian members D log variances after them.
+        frames: Scaling of a machine frame's features ``[M]``; the last D are the learned ones.
+        observed: Where the features that policies see begin among these, and where they end.
         low: ``[D]`` smallest normalised targets of the training data.
         high: ``[D]`` largest.
         target_mean: ``[D]`` mean of what is predicted, in normalised units; 0 for values.
@@ -57,6 +59,7 @@ class MLPEnsemble:
 
     layers: tuple[tuple[Tensor, Tensor], ...]
     frames: Normaliser
+    observed: tuple[int, int]
     low: Tensor
     high: Tensor
     target_mean: Tensor
@@ -77,7 +80,15 @@ class MLPEnsemble:
         """What lanes of one stack must share."""
         widths = tuple(int(weight.shape[2]) for weight, _ in self.layers)
         kind = "gaussian" if self.log_variance.numel() else "deterministic"
-        return kind, self.members, len(self.elites), self.history, self.activation, *widths
+        sizes = (self.members, len(self.elites), self.history, *self.observed)
+        return kind, *sizes, self.activation, *widths
+
+    @property
+    def changes(self) -> Tensor:
+        """1 where a change is predicted, 0 where a value is, ``[D]``."""
+        first, last = self.observed
+        place = torch.arange(len(self.frames.mean))[-len(self.low) :]
+        return ((first <= place) & (place < last)).float() * float(self.target == "change")
 
     def save(self, folder: Path) -> None:
         """Write one safetensors file into an existing folder."""
@@ -90,6 +101,7 @@ class MLPEnsemble:
             "format": FORMAT,
             "layers": len(self.layers),
             "history": self.history,
+            "observed": list(self.observed),
             "activation": self.activation,
             "target": self.target,
             "elites": list(self.elites),
@@ -115,6 +127,7 @@ class MLPEnsemble:
             ),
             frames=Normaliser(tensors["mean"], tensors["scale"]),
             history=header["history"],
+            observed=tuple(header["observed"]),
             activation=header["activation"],
             target=header["target"],
             elites=tuple(header["elites"]),
@@ -150,7 +163,7 @@ class MLPTransition:
                 "Lanes of one stack need ensembles of equal members, layers, history and kind, got "
                 f"{' and '.join(sorted({str(e.shape) for e in ensembles}))}."
             )
-        self.members = first.members
+        self.members, self.memory = first.members, 1
         self.frames = Normaliser.stack([e.frames for e in ensembles]).to(device)
         self.low = torch.stack([e.low for e in ensembles]).to(device)
         self.high = torch.stack([e.high for e in ensembles]).to(device)
@@ -168,26 +181,27 @@ class MLPTransition:
         ]
         self._activation = ACTIVATIONS[first.activation]
         # Which form predicts better is chosen dataset by dataset, so it may differ among lanes.
-        changes = [float(e.target == "change") for e in ensembles]
-        self._changes = torch.tensor(changes, device=device)[:, None, None, None]
-        self._seen = first.history * len(first.frames.mean)  # width of the frames that are read
+        self._changes = torch.stack([e.changes for e in ensembles]).to(device)[:, :, None, None]
+        shown = slice(*first.observed)
+        self._seen = first.history * (shown.stop - shown.start)  # width of the frames read
         weight, bias = self._layers[0]
-        own, given = self.frames, scaling.to(device)
+        own = Normaliser(self.frames.mean[:, shown], self.frames.scale[:, shown])
+        given = scaling.to(device)
         weight, bias = read_in_scaling(weight, bias, own, given, first.history)
         self._layers[0] = weight, bias
         # [L, in, K * out]: the members' weights side by side, where all read the same rows.
         by_member = weight.view(len(ensembles), self.members, *weight.shape[1:])
         self._side_by_side = by_member.transpose(1, 2).flatten(2)
 
-    def begin(self, history: Tensor) -> None:
+    def begin(self, recorded: Tensor) -> None:
         """Nothing is remembered between steps but the frames."""
 
     def predict(
-        self, state: None, observation: Tensor, inputs: Tensor, own: Tensor
+        self, state: None, observation: Tensor, known: Tensor, own: Tensor
     ) -> tuple[Prediction, None]:
         """One step of all members."""
-        lanes, copies, batch, _ = inputs.shape
-        seen = torch.cat([observation[..., : self._seen], inputs], dim=-1)
+        lanes, copies, batch, _ = known.shape
+        seen = torch.cat([observation[..., : self._seen], known], dim=-1)
         weight, bias = self._layers[0]
         if copies == 1:
             x = torch.bmm(seen[:, 0], self._side_by_side)  # one product for all members of a lane
@@ -197,7 +211,7 @@ class MLPTransition:
         for weight, bias in self._layers[1:]:
             x = torch.baddbmm(bias, self._activation(x), weight)
         out = x.view(lanes, self.members, batch, -1).permute(0, 3, 1, 2)  # [L, D or 2D, K, B]
-        count = len(TARGETS)
+        count = self.low.shape[1]
         scale, mean = (t[:, :, None, None] for t in (self.target_scale, self._target_mean))
         values = out[:, :count] * scale + mean + self._changes * own
         if self._bounds is None:

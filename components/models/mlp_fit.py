@@ -1,8 +1,10 @@
 """Training of the one-step ensembles, all members and target forms as lanes of one stack.
 
-From a transition's last frames and the inputs of the next one (setpoint and steerings, which follow
-from the action exactly) a member predicts the next frame's fatigue and consumption. Where the
-target form is left to the data (thesis 5.1: value or change, whichever does better on held-out
+From a transition's last frames and the known features of the next machine frame, which follow from
+the action exactly, a member predicts the learned ones. What policies do not see of them, a robot's
+reward, is a value in either form. Every true terminal adds a transition from the terminal state to
+itself, see :mod:`components.data.absorption`, by which the end is learned. Where the target form is
+left to the data (thesis 5.1: value or change, whichever does better on held-out
 trajectories), both are trained from the same random streams and the ensemble of lower held-out
 error is kept. That error is the mean square in normalised feature units, the same for both forms
 and, by their means, for Gaussian members.
@@ -25,13 +27,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from components.data.absorption import with_absorption
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
+from components.data.machine import MachineRule, machine_frames
 from components.data.normaliser import Normaliser
 from components.data.splits import split_episodes
 from components.models.mlp_config import MLPEnsembleConfig
 from components.models.mlp_ensemble import ACTIVATIONS, MLPEnsemble, bounded_log_variance
-from components.models.rollout import INPUTS, TARGETS
 from components.models.supervised import UNWATCHED, Fit, Monitor, StackedFit
 from components.networks import (
     LaneStreams,
@@ -55,53 +58,62 @@ class _Transitions:
     def __init__(
         self, dataset: OfflineDataset, config: MLPEnsembleConfig, device: torch.device
     ) -> None:
-        card = dataset.card
-        if tuple(card.frame_features) != (*INPUTS, *TARGETS):
-            raise ValueError(
-                f"One-step ensembles need frames of {(*INPUTS, *TARGETS)}, but {card.name} logs "
-                f"{tuple(card.frame_features)}."
-            )
-        shorter = dataset.with_history(config.history)
-        self.history = shorter.card.history
+        rule = MachineRule.of_card(dataset.card)
+        self.names, self.observed, known = rule.learned, rule.observed, len(rule.known)
+        whole = with_absorption(dataset.with_history(config.history), 1)
+        self.history = whole.card.history
         split = split_episodes(dataset, config.holdout)
-        self.trained = split.trained_transitions(dataset)
-        self.held_out = torch.arange(self.trained, dataset.transitions, device=device)
-        seen = np.asarray(dataset.frames[: self.trained + split.train.stop])
+        self.trained = split.trained_transitions(whole)
+        self.held_out = torch.arange(self.trained, whole.transitions, device=device)
+        logged = split.trained_transitions(dataset)
+        seen = np.array(machine_frames(dataset, rule)[: logged + split.train.stop])
         self.scaling = Normaliser.fit(seen)
-        targets = self.scaling.apply(torch.from_numpy(np.array(seen)))[:, len(INPUTS) :]
+        targets = self.scaling.apply(torch.from_numpy(seen))[:, known:]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)
-        rows = dataset.frame_rows()[: self.trained]
+        rows = dataset.frame_rows()[:logged]
+        changes = Normaliser.fit((targets[rows + 1] - targets[rows]).numpy())
+        shown = torch.tensor(rule.shown)
         moments = {
-            "value": Normaliser(torch.zeros(len(TARGETS)), torch.ones(len(TARGETS))),
-            "change": Normaliser.fit((targets[rows + 1] - targets[rows]).numpy()),
+            "value": Normaliser(torch.zeros(len(shown)), torch.ones(len(shown))),
+            "change": Normaliser(
+                torch.where(shown, changes.mean, 0.0), torch.where(shown, changes.scale, 1.0)
+            ),
         }
         self.moments = [moments[form] for form in config.forms]
         lanes = len(config.forms) * config.members
-        self._data = LaneData([shorter] * lanes, device, scaling=self.scaling)
+        of_frames = slice(*rule.observed)
+        scaling = Normaliser(self.scaling.mean[of_frames], self.scaling.scale[of_frames])
+        self._data = LaneData([whole] * lanes, device, scaling=scaling)
+        table = self.scaling.apply(torch.from_numpy(np.array(machine_frames(whole, rule))))
+        self._known, self._learned = (
+            part.contiguous().to(device) for part in table.split([known, len(shown)], dim=1)
+        )
+        self._rows = torch.from_numpy(whole.frame_rows()).to(device)  # of the newest frames
         stacked = Normaliser.stack([m for m in self.moments for _ in range(config.members)]).to(
             device
         )
-        self.inputs = self._data.observation_width + len(INPUTS)
+        self.inputs = self._data.observation_width + known
         self.mean, self.scale = stacked.mean[:, None], stacked.scale[:, None]  # [L, 1, D]
-        changes = [float(form == "change") for form in config.forms for _ in range(config.members)]
-        self._changes = torch.tensor(changes, device=device)[:, None, None]
+        changing = [form == "change" for form in config.forms for _ in range(config.members)]
+        self._changes = (torch.tensor(changing)[:, None, None] & shown).float().to(device)
 
     def gather(self, index: Tensor) -> tuple[Tensor, Tensor]:
-        """Inputs ``[L, B, H * F + 4]`` and standardised targets ``[L, B, D]``."""
-        batch = self._data.batch(index)
-        first, count = len(INPUTS), len(TARGETS)
-        inputs = torch.cat([batch.observations, batch.next_observations[..., :first]], dim=-1)
-        following = batch.next_observations[..., first : first + count]
-        own = batch.observations[..., first : first + count]
-        return inputs, (following - self._changes * own - self.mean) / self.scale
+        """Inputs ``[L, B, H * F + known]`` and standardised targets ``[L, B, D]``."""
+        before = self._rows[index]
+        after = before + 1
+        inputs = torch.cat([self._data.observations(index), self._known[after]], dim=-1)
+        targets = self._learned[after] - self._changes * self._learned[before]
+        return inputs, (targets - self.mean) / self.scale
 
 
 class _Network(nn.Module):
     """The stack of members, and the bounds of the log variances of Gaussian ones."""
 
-    def __init__(self, keys: list[int], inputs: int, config: MLPEnsembleConfig) -> None:
+    def __init__(
+        self, keys: list[int], inputs: int, targets: int, config: MLPEnsembleConfig
+    ) -> None:
         super().__init__()
-        outputs = len(TARGETS) * (2 if config.gaussian else 1)
+        outputs = targets * (2 if config.gaussian else 1)
         stack = WeightNormMLP if config.weight_norm else StackedMLP
         self.stack = stack(
             spawn_generators(keys, "weights"),
@@ -110,7 +122,7 @@ class _Network(nn.Module):
         )
         bounds = torch.tensor(LOG_VARIANCE)[None, :, None]
         self.bounds = (
-            nn.Parameter(bounds.expand(len(keys), -1, len(TARGETS)).clone())  # [L, 2, D]
+            nn.Parameter(bounds.expand(len(keys), -1, targets).clone())  # [L, 2, D]
             if config.gaussian
             else None
         )
@@ -181,7 +193,7 @@ def fit_mlp_ensemble(
     """Train all members at once.
 
     Args:
-        dataset: Frames must be (setpoint, velocity, gain, shift, fatigue, consumption).
+        dataset: Its card must tell what is known and what is to be learned of its machine.
         config: Architecture and schedule; its class is the kind of ensemble.
         key: Random stream, see :func:`components.networks.lane_key`.
         device: Where to train.
@@ -198,7 +210,7 @@ def fit_mlp_ensemble(
     # A member of either form learns from the same numbers: the forms differ in nothing else.
     keys = [lane_key(key, k) for _ in forms for k in range(members)]
     losses = _Losses(data, config.decays)
-    network = _Network(keys, data.inputs, config).to(device)
+    network = _Network(keys, data.inputs, len(data.names), config).to(device)
     fitting = StackedFit(
         network,
         len(names),
@@ -229,7 +241,8 @@ def fit_mlp_ensemble(
     lanes = slice(chosen * members, (chosen + 1) * members)
     metrics = {f"validation_mse/{form}": float(e) for form, e in zip(forms, of_forms, strict=True)}
     own = errors[lanes]  # [K, D]
-    metrics |= {f"validation_mse/{t}": float(e) for t, e in zip(TARGETS, own.mean(0), strict=True)}
+    of_targets = zip(data.names, own.mean(dim=0), strict=True)
+    metrics |= {f"validation_mse/{target}": float(error) for target, error in of_targets}
     metrics |= {f"validation_mse/member{k}": float(e) for k, e in enumerate(own.mean(dim=1))}
     if config.gaussian:
         metrics["validation_nll"] = float(nll[lanes].mean())
@@ -274,6 +287,7 @@ def _artifact(
             for weight, bias in network.stack.affine()
         ),
         frames=data.scaling,
+        observed=data.observed,
         low=data.low,
         high=data.high,
         target_mean=data.moments[form].mean,

@@ -1,16 +1,20 @@
 """Training of the recurrent transition ensemble, all networks at once.
 
 Training unrolls G + F steps from a zero hidden state. During the first G steps, and at the first
-predicted one, the fatigue network is fed the recorded value; from then on its own prediction,
-unclipped. The loss is the mean squared error over the F predicted steps (thesis 6.2, eq. 3.41).
+predicted one, networks are fed the recorded values they read back; from then on their own
+predictions, unclipped. The loss is the mean squared error over the F predicted steps (thesis 6.2,
+eq. 3.41). Windows never cross trajectories. One that ends in a true terminal state goes on in it,
+see :mod:`components.data.absorption`, so that falling is learned from states and rewards, as the
+thesis has it; a trajectory too short for a single window is left out.
 
-All 2K networks are lanes of one stack ``[2K, ...]``, fatigue networks first, each with its own
-window stream and its own best held-out state.
+All networks are lanes of one stack ``[M, ...]``, group by group, each with its own window stream
+and its own best held-out state. Changes are predicted in units of their deviation around their
+mean.
 
-Deviations from the thesis (its learning rate 1.25e-5 cannot train these networks, and it names a
-delta target; the published checkpoints agree with what is done here): Adam with a one-cycle
-learning rate instead of a plateau schedule, which reaches the same error in a fraction of the
-updates; smaller batches; no weight decay; gradients limited in norm, network by network.
+Deviations from the thesis (its learning rate 1.25e-5 cannot train these networks, and on the
+Industrial Benchmark it names a delta target; the published checkpoints agree with what is done
+here): Adam with a one-cycle learning rate instead of a plateau schedule, which reaches the same
+error in a fraction of the updates; smaller batches; gradients limited in norm, network by network.
 """
 
 import math
@@ -20,15 +24,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from components.data.absorption import with_absorption
 from components.data.dataset import OfflineDataset
+from components.data.history import Rows
+from components.data.machine import MachineRule, machine_frames
 from components.data.normaliser import Normaliser
-from components.data.splits import split_episodes
+from components.data.splits import EpisodeSplit, split_episodes
 from components.models.recurrent_ensemble import (
+    Feedback,
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
     predict_windows,
 )
-from components.models.rollout import INPUTS, TARGETS
 from components.models.supervised import UNWATCHED, Fit, Monitor
 from components.networks import LaneStreams, lane_key, spawn_generators
 from components.networks.checkpoint import (
@@ -41,61 +48,102 @@ from components.networks.training import Curves, TrainingLoop, adam
 
 __all__ = ["fit_recurrent_ensemble"]
 
+VALIDATED = 2000  # about so many held-out windows judge a state while training goes on
+
 
 class _Windows:
-    """Windows of normalised frames, gathered on the device for every network."""
+    """Windows of normalised machine frames, gathered on the device for every network."""
 
     def __init__(
         self, dataset: OfflineDataset, config: RecurrentEnsembleConfig, device: torch.device
     ) -> None:
-        features = dataset.card.frame_features
-        if tuple(features) != (*INPUTS, *TARGETS):
-            raise ValueError(
-                f"The recurrent ensemble needs frames of {(*INPUTS, *TARGETS)}, "
-                f"but {dataset.card.name} logs {tuple(features)}."
-            )
+        rule = MachineRule.of_card(dataset.card)
+        self.names, self.known = rule.learned, len(rule.known)
+        self.feedback = Feedback.of(config, rule).to(device)
+        groups = len(self.feedback.reads)
+        self.groups = rule.learned if groups == len(rule.learned) else ("joint",)
+        self.outputs, self.networks = len(rule.learned) // groups, groups * config.members
         split = split_episodes(dataset, config.holdout)
-        train, held_out = split.train, split.held_out
-        length = config.warm_up + config.horizon
-        self.length = length
-        starts = dataset.episode_starts
-        # Frame row of a window's start: transition row plus one extra frame per earlier episode.
-        rows = [
-            np.arange(starts[e] + e, starts[e + 1] + e - length + 1) for e in range(len(starts) - 1)
-        ]
-        short = [e for e, r in enumerate(rows) if not len(r)]
-        if short:
-            raise ValueError(
-                f"Trajectory {short[0]} of {dataset.card.name} is shorter than warm_up + horizon "
-                f"= {length} steps; shorten these."
-            )
-        self.train = torch.from_numpy(np.concatenate([rows[e] for e in train])).to(device)
-        self.held_out = torch.from_numpy(np.concatenate([rows[e] for e in held_out])).to(device)
-        last = int(starts[train[-1] + 1] + train[-1] + 1)
-        seen = np.asarray(dataset.frames[:last])
+        logged = split.trained_transitions(dataset)
+        seen = np.array(machine_frames(dataset, rule)[: logged + split.train.stop])
         self.normaliser = Normaliser.fit(seen)
-        scaled = self.normaliser.apply(torch.from_numpy(np.array(dataset.frames)))
-        targets = scaled[:last, len(INPUTS) :]
+        targets = self.normaliser.apply(torch.from_numpy(seen))[:, self.known :]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)
-        self._table = scaled.T.contiguous().to(device)  # [6, rows]
-        self._steps = torch.arange(length, device=device).view(-1, 1, 1, 1)
-        members = config.members
-        target = torch.arange(2 * members, device=device) // members + len(INPUTS)  # [M]
-        inputs = torch.arange(len(INPUTS), device=device).view(1, 1, -1, 1)
-        self._inputs = inputs * self._table.shape[1]
-        self._target = (target * self._table.shape[1]).view(1, -1, 1, 1)
-        self._feeds_back = (target == len(INPUTS)).view(1, -1, 1, 1)
-        self._target_offset = target * self._table.shape[1]
-        self._horizon = config.horizon
+        rows = dataset.frame_rows()[:logged]
+        changes = Normaliser.fit((targets[rows + 1] - targets[rows]).numpy()).to(device)
+        self._unit, self._offset = self._units(changes, config.hidden)
+        # A window's first predicted step is a logged one: all but the last step may be absorbed.
+        whole = with_absorption(dataset, config.horizon - 1)
+        self.train, self.held_out = (
+            torch.from_numpy(starts).to(device)
+            for starts in _starts(whole, split, config.warm_up + config.horizon)
+        )
+        scaled = self.normaliser.apply(torch.from_numpy(np.array(machine_frames(whole, rule))))
+        self._table = scaled.T.contiguous().to(device)  # [features, rows]
+        self._horizon, count = config.horizon, self._table.shape[1]
+        steps = torch.arange(config.warm_up + config.horizon, device=device)
+        self._steps = steps.view(-1, 1, 1, 1)
+        self._known = torch.arange(self.known, device=device).view(1, 1, -1, 1) * count
+        feature = self.known + torch.arange(len(rule.learned), device=device)
+        target = self._of_networks(feature) * count
+        self._own = target[None, :, : self.reads.shape[1], None]
+        self._reads = self.reads[None, :, :, None]
+        self._targets = target[:, :, None]
+
+    def _units(self, changes: Normaliser, hidden: int) -> tuple[Tensor, Tensor]:
+        """What :meth:`in_units` multiplies by and adds: ``[M, O, 1]`` and ``[M, O, H + 1]``."""
+        adds = torch.zeros(len(self.groups), self.outputs, device=changes.mean.device)
+        adds[:, : self.feedback.adds.shape[1]] = self.feedback.adds
+        changing = adds.flatten().bool()
+        unit = self._of_networks(torch.where(changing, changes.scale, 1.0))
+        mean = self._of_networks(torch.where(changing, changes.mean, 0.0))
+        return unit[:, :, None], torch.nn.functional.pad(mean[:, :, None], (hidden, 0))
+
+    def _of_networks(self, values: Tensor) -> Tensor:
+        """Something of each learned feature ``[D]``, by network: ``[M, O]``."""
+        by_group = values.view(len(self.groups), -1)
+        return by_group.repeat_interleave(self.networks // len(self.groups), dim=0)
+
+    @property
+    def reads(self) -> Tensor:
+        """Whether a network reads an own value back, ``[M, D']``."""
+        reads = self.feedback.reads.bool()
+        return reads.repeat_interleave(self.networks // len(reads), dim=0)
+
+    def in_units(self, readout: Tensor) -> Tensor:
+        """Layers ``[M, O, H + 1]`` in normalised units from those in units of what is predicted."""
+        return readout * self._unit + self._offset
 
     def gather(self, start: Tensor) -> tuple[Tensor, Tensor]:
-        """Inputs ``[G + F, M, 5, B]`` and targets ``[F, M, B]`` of windows ``start [M, B]``."""
+        """Inputs ``[G + F, M, known + D', B]``, targets ``[F, M * O, B]`` of ``start [M, B]``."""
         rows = start[None, :, None, :] + self._steps  # [T, M, 1, B]
-        steerings = torch.take(self._table, rows + 1 + self._inputs)
-        own = torch.take(self._table, rows + self._target) * self._feeds_back
-        future = start[None] + self._steps[-self._horizon :, :, 0] + 1
-        targets = torch.take(self._table, future + self._target_offset[None, :, None])
-        return torch.cat([steerings, own], dim=2), targets
+        known = torch.take(self._table, rows + 1 + self._known)
+        own = torch.take(self._table, rows + self._own) * self._reads
+        future = rows[-self._horizon :] + 1
+        targets = torch.take(self._table, future + self._targets)
+        return torch.cat([known, own], dim=2), targets.flatten(1, 2)
+
+
+def _starts(whole: OfflineDataset, split: EpisodeSplit, length: int) -> tuple[Rows, Rows]:
+    """Frame rows in which windows of the training and of the held-out trajectories begin.
+
+    Raises:
+        ValueError: If all trajectories on either side are too short for a window.
+    """
+    starts = whole.episode_starts
+    # Frame row of a window's start: transition row plus one extra frame per earlier episode.
+    rows = [np.arange(starts[e] + e, starts[e + 1] + e - length + 1) for e in range(whole.episodes)]
+    found = []
+    for episodes in (split.train, split.held_out):
+        if not any(len(rows[e]) for e in episodes):
+            raise ValueError(
+                f"Trajectory {episodes[0]} of {whole.card.name} is shorter than warm_up + horizon "
+                f"= {length} steps, and so are the others that are to be "
+                f"{'trained on' if episodes is split.train else 'held out'}; shorten these."
+            )
+        found.append(np.concatenate([rows[e] for e in episodes]))
+    train, held_out = found
+    return train, held_out
 
 
 class _EnsembleLearner:
@@ -105,20 +153,21 @@ class _EnsembleLearner:
         self, windows: _Windows, config: RecurrentEnsembleConfig, key: int, device: torch.device
     ) -> None:
         self._config, self._windows = config, windows
-        self.lanes = 2 * config.members
-        keys = [lane_key(key, target, k) for target in TARGETS for k in range(config.members)]
-        width = config.hidden
+        self.lanes = windows.networks
+        keys = [lane_key(key, group, k) for group in windows.groups for k in range(config.members)]
+        width, reads = config.hidden, windows.reads
+        columns = width + windows.known + reads.shape[1] + 1
         # PyTorch's RNN initialisation: everything uniform in +-1/sqrt(hidden).
         drawn = [
-            (g.uniform(-1, 1, (width, width + 6)), g.uniform(-1, 1, (1, width + 1)))
+            (g.uniform(-1, 1, (width, columns)), g.uniform(-1, 1, (windows.outputs, width + 1)))
             for g in spawn_generators(keys, "weights")
         ]
         bound = width**-0.5
         weight = torch.from_numpy(np.stack([w for w, _ in drawn]) * bound).float().to(device)
         readout = torch.from_numpy(np.stack([r for _, r in drawn]) * bound).float().to(device)
-        # Consumption networks have no self-input; as it is multiplied by zero in every window,
-        # the column stays at zero in the closed loop too.
-        weight[config.members :, :, width + len(INPUTS)] = 0.0
+        # What a network does not read back is multiplied by zero in every window, so that its
+        # column stays at zero in the closed loop too.
+        weight[:, :, width + windows.known : -1].masked_fill_(~reads[:, None], 0.0)
         self.best_weight, self.best_readout = weight.clone(), readout.clone()
         self.weight, self.readout = weight.requires_grad_(), readout.requires_grad_()
         self.best_loss = torch.full((self.lanes,), math.inf, device=device)
@@ -146,13 +195,18 @@ class _EnsembleLearner:
             group["lr"] = self._rate(step)
         start = self._windows.train[self._streams.at(step)["start"]]
         inputs, targets = self._windows.gather(start)
-        predictions = predict_windows(self.weight, self.readout, inputs, self._config)
-        loss = (predictions - targets).square().mean(dim=(0, 2))
+        predictions = self._predict(self.weight, self.readout, inputs)
+        loss = (predictions - targets).square().mean(dim=(0, 2)).view(self.lanes, -1).mean(dim=1)
         self._optimizer.zero_grad(set_to_none=True)
         loss.sum().backward()
         self._clip()
         self._optimizer.step()
         return {"model/train_mse": loss.detach()}
+
+    def _predict(self, weight: Tensor, readout: Tensor, inputs: Tensor) -> Tensor:
+        windows = self._windows
+        readout = windows.in_units(readout)
+        return predict_windows(weight, readout, inputs, self._config.warm_up, windows.feedback)
 
     def _clip(self) -> None:
         """Limit every network's gradient norm on its own, so that lanes stay independent."""
@@ -164,14 +218,14 @@ class _EnsembleLearner:
 
     @torch.no_grad()
     def validation_loss(self, weight: Tensor, readout: Tensor, stride: int) -> Tensor:
-        """Held-out normalised mean squared error per network, ``[2K]``."""
+        """Held-out normalised mean squared errors of every network, ``[M, O]``."""
         starts = self._windows.held_out[::stride]
-        total = torch.zeros(self.lanes, device=starts.device)
+        total = torch.zeros(self.lanes * self._windows.outputs, device=starts.device)
         for part in starts.split(512):
             inputs, targets = self._windows.gather(part.expand(self.lanes, -1))
-            predictions = predict_windows(weight, readout, inputs, self._config)
+            predictions = self._predict(weight, readout, inputs)
             total += (predictions - targets).square().mean(dim=0).sum(dim=1)
-        return total / len(starts)
+        return total.view(self.lanes, -1) / len(starts)
 
     def keep_best(self, losses: Tensor) -> None:
         """Remember every network's weights where its own held-out loss was lowest."""
@@ -212,7 +266,7 @@ def fit_recurrent_ensemble(
     """Train all networks of the ensemble at once, with early stopping on held-out trajectories.
 
     Args:
-        dataset: Frames must be (setpoint, velocity, gain, shift, fatigue, consumption).
+        dataset: Its card must tell what is known and what is to be learned of its machine.
         config: Architecture and schedule.
         key: Random stream, see :func:`components.networks.lane_key`.
         device: Where to train.
@@ -225,12 +279,13 @@ def fit_recurrent_ensemble(
     """
     windows = _Windows(dataset, config, device)
     learner = _EnsembleLearner(windows, config, key, device)
-    names = [f"{target}{k}" for target in TARGETS for k in range(config.members)]
+    names = [f"{group}{k}" for group in windows.groups for k in range(config.members)]
+    stride = max(5, len(windows.held_out) // VALIDATED)
 
     def validate(done: int, curves: Curves) -> bool:
         if done % config.validate_every and done != config.updates:
             return False
-        losses = learner.validation_loss(learner.weight, learner.readout, stride=5)
+        losses = learner.validation_loss(learner.weight, learner.readout, stride).mean(dim=1)
         curves.add(done, {"model/validation_mse": losses})
         learner.keep_best(losses)
         monitor.validated(done / config.updates, float(losses.mean()))
@@ -239,15 +294,20 @@ def fit_recurrent_ensemble(
     loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
     curves = loop.run(learner, validate)
     final = learner.validation_loss(learner.best_weight, learner.best_readout, stride=1)
-    metrics = {f"validation_mse/{name}": float(v) for name, v in zip(names, final, strict=True)}
-    for target, values in zip(TARGETS, final.view(len(TARGETS), -1), strict=True):
-        metrics[f"validation_mse/{target}"] = float(values.mean())
+    of_networks = zip(names, final.mean(dim=1), strict=True)
+    of_features = final.view(len(windows.groups), config.members, -1).mean(dim=1).flatten()
+    metrics = {
+        f"validation_mse/{name}": float(loss)
+        for name, loss in (*of_networks, *zip(windows.names, of_features, strict=True))
+    }
     ensemble = RecurrentEnsemble(
-        learner.best_weight.cpu(),
-        learner.best_readout.cpu(),
-        windows.normaliser,
-        windows.low,
-        windows.high,
+        weight=learner.best_weight.cpu(),
+        readout=windows.in_units(learner.best_readout).cpu(),
+        frames=windows.normaliser,
+        low=windows.low,
+        high=windows.high,
+        feedback=windows.feedback.to(torch.device("cpu")),
+        warm_up=config.warm_up,
     )
     by_network = {
         f"{metric}/{name}": series

@@ -7,91 +7,115 @@ from torch import Tensor
 
 from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.models.rollout import INPUTS, TARGETS, Prediction
+from components.models.rollout import Prediction
 from components.networks.recurrent import fast_tanh, unroll_cells
 
 __all__ = ["RecurrentTransition"]
 
 
 class RecurrentTransition:
-    """K pairs of networks a lane; every member keeps its own hidden state.
+    """K networks of every group a lane; every network keeps its own hidden state.
 
     Args:
-        ensembles: One per lane, of equal shapes.
+        ensembles: One per lane, of equal shapes and equal feedback.
         device: Where to compute.
     """
 
     def __init__(self, ensembles: Sequence[RecurrentEnsemble], device: torch.device) -> None:
-        self.members = ensembles[0].members
+        first = ensembles[0]
+        self.members, self.memory = first.members, first.warm_up
         self.frames = Normaliser.stack([e.frames for e in ensembles]).to(device)
         self.low = torch.stack([e.low for e in ensembles]).to(device)
         self.high = torch.stack([e.high for e in ensembles]).to(device)
         self.target_scale = torch.ones_like(self.low)
-        self._weight = torch.cat([e.weight for e in ensembles]).to(device)  # [L * 2K, H, H + 6]
+        # [L * M, H, ...]; columns of what a group does not read back shall not be read.
+        self._weight = torch.cat([e.weight for e in ensembles]).to(device)
         self._readout = torch.cat([e.readout for e in ensembles]).to(device)
-        # The fatigue networks (first half) read their previous value, the others read zero.
-        self._feeds_back = torch.tensor([1.0, 0.0], device=device)[None, :, None, None, None]
+        # Groups, members, outputs: the axes of what all networks of a lane read out.
+        self._shape = (len(first.feedback.reads), self.members, first.readout.shape[1])
+        reads, adds = first.feedback.reads.to(device), first.feedback.adds.to(device)
+        self._looped = reads.shape[1]
+        of_networks = reads.repeat_interleave(self.members, dim=0).repeat(len(ensembles), 1)
+        self._weight[:, :, -1 - self._looped : -1] *= of_networks[:, None]
+        every = torch.zeros(self._shape[0], self._shape[2], device=device)
+        every[:, : self._looped] = adds
+        self._adds = every.view(1, -1, 1, 1) if first.feedback.sums else None
+
+    def _own(self, previous: Tensor) -> Tensor:
+        """Previous values for every network's loop, ``[..., groups, S, D', B]``, of all targets.
+
+        Args:
+            previous: ``[..., D, S, B]`` normalised.
+        """
+        groups, _, outputs = self._shape
+        by_group: Tensor = previous.unflatten(-3, (groups, outputs)).transpose(-3, -2)
+        return by_group[..., : self._looped, :]
 
     @torch.no_grad()
-    def begin(self, history: Tensor) -> Tensor:
-        """Hidden states ``[L * 2K, H, B]`` after the recorded frames ``[L, S, B, T, F]``."""
-        lanes, _, batch, length, _ = history.shape
+    def begin(self, recorded: Tensor) -> Tensor:
+        """Hidden states ``[L * M, H, B]`` after the recorded frames ``[L, S, B, T, F]``."""
+        lanes, _, batch, length, features = recorded.shape
+        known = features - self.low.shape[1]
         mean, scale = (s[:, None, None, None] for s in (self.frames.mean, self.frames.scale))
-        oldest_first = ((history - mean) / scale).flip(3).permute(3, 0, 1, 4, 2)  # [T, L, S, F, B]
-        posterior = oldest_first[1:, :, None, :, : len(INPUTS)]
-        previous = oldest_first[:-1, :, :, len(INPUTS) :].transpose(2, 3)[..., None, :]
-        shape = (length - 1, lanes, len(TARGETS), self.members)
+        oldest_first = ((recorded - mean) / scale).flip(3).permute(3, 0, 4, 1, 2)  # [T, L, F, S, B]
+        posterior = oldest_first[1:, :, None, :known].transpose(3, 4)
+        own = self._own(oldest_first[:-1, :, known:])
+        shape = (length - 1, lanes, *self._shape[:2])
         inputs = torch.cat(
             [
-                posterior.expand(*shape, len(INPUTS), batch),
-                (previous * self._feeds_back).expand(*shape, 1, batch),
+                posterior.expand(*shape, known, batch),
+                own.expand(*shape, self._looped, batch),
             ],
             dim=4,
         )
-        start = history.new_zeros(self._weight.shape[0], self._weight.shape[1], batch)
+        start = recorded.new_zeros(self._weight.shape[0], self._weight.shape[1], batch)
         _, hidden = unroll_cells(self._weight, self._readout, start, inputs.flatten(1, 3))
         return hidden
 
     def predict(
-        self, state: Tensor, observation: Tensor, inputs: Tensor, own: Tensor
+        self, state: Tensor, observation: Tensor, known: Tensor, own: Tensor
     ) -> tuple[Prediction, Tensor]:
         """One step of all members; ``state`` is the hidden state, or see :meth:`_in_place`."""
         if not torch.is_grad_enabled():
-            return self._in_place(state, inputs, own)
-        lanes, _, batch, _ = inputs.shape
-        shape = (lanes, len(TARGETS), self.members)
-        fed = (own[:, :, :, None] * self._feeds_back).expand(*shape, 1, batch)
+            return self._in_place(state, known, own)
+        lanes, _, batch, features = known.shape
+        shape = (lanes, *self._shape[:2])
         seen = torch.cat(
             [
                 state.view(*shape, -1, batch),
-                inputs.transpose(2, 3)[:, None].expand(*shape, len(INPUTS), batch),
-                fed,
-                torch.ones_like(fed),
+                known.transpose(2, 3)[:, None].expand(*shape, features, batch),
+                self._own(own).expand(*shape, self._looped, batch),
+                known.new_ones(()).expand(*shape, 1, batch),
             ],
             dim=3,
         ).flatten(0, 2)
-        hidden = fast_tanh(torch.bmm(self._weight, seen))
-        read = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
-        return Prediction(read.view(*shape, batch)), hidden
+        return self._read(fast_tanh(torch.bmm(self._weight, seen)), own)
 
-    def _in_place(self, state: Tensor, inputs: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
+    def _in_place(self, state: Tensor, known: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
         """The same without gradients; from the first step on, all that is read has one buffer.
 
-        The state is that buffer ``[L * 2K, H + 6, B]``: hidden state, inputs, own value and the
-        constant one, each step's over those of the step before.
+        The state is that buffer ``[L * M, H + known + D' + 1, B]``: hidden state, known features,
+        own values and the constant one, each step's over those of the step before.
         """
-        lanes, _, batch, _ = inputs.shape
-        cells, width, features = self._weight.shape
+        lanes, _, batch, features = known.shape
+        cells, width, columns = self._weight.shape
         if state.shape[1] == width:
-            buffer = state.new_ones(cells, features, batch)
+            buffer = state.new_ones(cells, columns, batch)
             buffer[:, :width] = state
         else:
             buffer = state
-        shape = (lanes, len(TARGETS), self.members)
-        given = buffer[:, width:-1].view(*shape, -1, batch)
-        given[..., :-1, :] = inputs.transpose(2, 3)[:, None]
-        given[..., -1:, :] = own[:, :, :, None] * self._feeds_back
+        given = buffer[:, width:-1].view(lanes, *self._shape[:2], -1, batch)
+        given[..., :features, :] = known.transpose(2, 3)[:, None]
+        given[..., features:, :] = self._own(own)
         hidden = buffer[:, :width]
         torch.tanh(torch.bmm(self._weight, buffer), out=hidden)
+        return self._read(hidden, own)[0], buffer
+
+    def _read(self, hidden: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
+        """All members' predictions from hidden states ``[L * M, H, B]``, which are returned too."""
         read = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
-        return Prediction(read.view(*shape, batch)), buffer
+        by_member = read.view(len(own), *self._shape, -1).transpose(2, 3)
+        values = by_member.reshape(len(own), -1, self.members, read.shape[-1])  # [L, D, K, B]
+        if self._adds is not None:
+            values = values + self._adds * own
+        return Prediction(values), hidden

@@ -1,9 +1,10 @@
 """Unroll policies through a learned ensemble: the one place where virtual trajectories are made.
 
 Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
-policy acts, the steerings follow exactly (clipped integration, differentiable), every member
-predicts the rest of the next frame, and one prediction becomes that frame, clipped to the range of
-the training data unless told otherwise. Which one is the propagation:
+policy acts, the known features of the machine's frame follow exactly (differentiably), every member
+predicts the learned ones, and one prediction becomes the next frame, clipped to the range of the
+training data unless told otherwise; policies see of it what the log's frames hold, see
+:mod:`components.data.machine`. Which one is the propagation:
 
 - ``"minimum"``: per trajectory and step the member that predicts the lowest reward (thesis 6.4 and
   5.17);
@@ -19,13 +20,10 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
-from components.data.dataset import DatasetCard
+from components.data.machine import MachineRule
 from components.data.normaliser import Normaliser
 
 __all__ = [
-    "INPUTS",
-    "TARGETS",
-    "MachineRule",
     "Prediction",
     "PredictionRange",
     "Propagation",
@@ -34,13 +32,6 @@ __all__ = [
     "VirtualStep",
     "discounted_sum",
 ]
-
-INPUTS = ("setpoint", "velocity", "gain", "shift")
-"""Features of a frame that follow from the action exactly."""
-TARGETS = ("fatigue", "consumption")
-"""Features of a frame that are learned."""
-WIDTH = len(INPUTS) + len(TARGETS)
-"""Features F of a frame."""
 
 Act = Callable[[Tensor], Tensor]
 Propagation = Literal["minimum", "isolated"] | Tensor
@@ -66,7 +57,8 @@ class TransitionModel(Protocol):
 
     Attributes:
         members: K.
-        frames: Scaling of the frame's features, ``[L, F]``.
+        memory: G, recorded machine frames to begin with.
+        frames: Scaling of a machine frame's features, ``[L, M]``.
         low: Smallest normalised targets of the training data, ``[L, D]``.
         high: Largest.
         target_scale: One standardised target in normalised units, ``[L, D]``: 1 where values are
@@ -74,16 +66,17 @@ class TransitionModel(Protocol):
     """
 
     members: int
+    memory: int
     frames: Normaliser
     low: Tensor
     high: Tensor
     target_scale: Tensor
 
-    def begin(self, history: Tensor) -> Any:
-        """State after the recorded raw frames ``[L, S, B, H, F]``, newest first; S is 1 or K."""
+    def begin(self, recorded: Tensor) -> Any:
+        """State after raw machine frames ``[L, S, B, G, M]``, newest first; S is 1 or K."""
 
     def predict(
-        self, state: Any, observation: Tensor, inputs: Tensor, own: Tensor
+        self, state: Any, observation: Tensor, known: Tensor, own: Tensor
     ) -> tuple[Prediction, Any]:
         """Advance all members by a step.
 
@@ -91,50 +84,12 @@ class TransitionModel(Protocol):
             state: Of :meth:`begin` or the step before.
             observation: ``[L, S, B, H * F]`` frames before the action, newest first, in the scaling
                 the policies see.
-            inputs: ``[L, S, B, 4]`` normalised inputs after the action.
+            known: ``[L, S, B, M - D]`` normalised known features after the action.
             own: ``[L, D, S, B]`` normalised targets before the action.
 
         Returns:
             Member k's prediction for its own copy, or for the only one; the next state.
         """
-
-
-@dataclass(frozen=True)
-class MachineRule:
-    """What is known of the machine without learning, from the dataset's card.
-
-    Attributes:
-        action_scale: Change of (velocity, gain, shift) per unit of action.
-        low: Smallest steering.
-        high: Largest steering.
-        reward: Weights of (fatigue, consumption) in the reward of a frame.
-    """
-
-    action_scale: tuple[float, ...]
-    low: float
-    high: float
-    reward: tuple[float, ...]
-
-    @classmethod
-    def of_card(cls, card: DatasetCard) -> "MachineRule":
-        """Read the rule off a dataset's card.
-
-        Raises:
-            ValueError: If the card does not tell how actions move the steerings.
-        """
-        machine = card.machine
-        try:
-            return cls(
-                action_scale=tuple(machine["action_scale"]),
-                low=machine["steering_low"],
-                high=machine["steering_high"],
-                reward=tuple(machine["reward"][name] for name in TARGETS),
-            )
-        except KeyError as error:
-            raise ValueError(
-                f"The card of {card.name} lacks {error} in its machine section, which virtual "
-                "trajectories need."
-            ) from error
 
 
 @dataclass(frozen=True)
@@ -145,7 +100,7 @@ class VirtualStep:
         observations: ``[L, N, O]`` what the policy saw.
         actions: ``[L, N, A]``.
         rewards: ``[L, N]``.
-        frames: ``[L, N, F]`` the next frame, scaled as the policy sees it.
+        frames: ``[L, N, F]`` what policies see of the next frame, scaled as they see it.
         prediction: Of all members, before the choice and the clipping.
         drawn: ``[L, D, S, B]`` normalised targets of the next frame, chosen or sampled, before the
             clipping; S is 1, or K in isolation.
@@ -164,7 +119,7 @@ class VirtualMachine:
 
     Args:
         model: The lanes' ensembles.
-        rule: How actions move the steerings, and the reward.
+        rule: How actions move the machine, and what its reward is.
         scaling: Scaling of the frames that policies see, ``[L, F]``.
         device: Where to compute.
         prediction_range: ``data`` clips predictions to the range of the training data, ``free``
@@ -182,17 +137,22 @@ class VirtualMachine:
         self.model = model
         frames = model.frames
         self._scaling = scaling.to(device)
-        self._rule = rule
-        self._action_scale = torch.tensor(rule.action_scale, device=device)[:, None, None]
+        self._rule, self._observed = rule, slice(*rule.observed)
+        self._keep, self._scale = (
+            torch.tensor(numbers, device=device)[:, None, None]
+            for numbers in (rule.keep, rule.scale)
+        )
         reward = torch.tensor(rule.reward, device=device)
-        count = len(INPUTS)
-        self._input_mean, self._input_scale = (
+        count = len(rule.known)
+        # Features that no action moves, those that one does, and the learned ones.
+        self._parts = [count - len(rule.scale), len(rule.scale), len(rule.learned)]
+        self._known_mean, self._known_scale = (
             _wide(moment[:, :count]) for moment in (frames.mean, frames.scale)
         )
         mean, scale = frames.mean[:, count:], frames.scale[:, count:]
         # Reward of a normalised prediction: weights times scale, and the part of the means.
         self._reward_weight, self._reward_offset = reward * scale, (reward * mean).sum(dim=1)
-        self._output_mean, self._output_scale = _wide(mean), _wide(scale)
+        self._learned_mean, self._learned_scale = _wide(mean), _wide(scale)
         self._low, self._high = _wide(model.low), _wide(model.high)
         if prediction_range == "free":
             self._low, self._high = (torch.full_like(self._low, s * torch.inf) for s in (-1, 1))
@@ -206,6 +166,7 @@ class VirtualMachine:
         propagation: Propagation = "minimum",
         noise: Tensor | None = None,
         state: Any = None,
+        recorded: Tensor | None = None,
     ) -> Iterator[VirtualStep]:
         """Let a policy act for ``horizon`` steps, one after the other.
 
@@ -214,53 +175,58 @@ class VirtualMachine:
         and its histories are windows of that.
 
         Args:
-            history: ``[L, B, H, F]`` raw frames, newest first.
+            history: ``[L, B, H, F]`` raw frames that policies see, newest first.
             act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
                 ``[L, N, A]``; called once a step.
             horizon: Steps T.
             propagation: Which member is followed; member numbers are ``[T, L, B]``.
             noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
                 Gaussian instead of taking its mean.
-            state: What the model's ``begin`` returned for this history, if that is known.
+            state: What the model's ``begin`` returned for this past, if that is known.
+            recorded: ``[L, B, G, M]`` raw machine frames, newest first, see
+                :meth:`components.data.lanes.LaneData.recorded`; the newest is enough beside a
+                state. None where policies see whole machine frames: the histories.
 
         Yields:
             The T steps.
         """
         copies = self.model.members if propagation == "isolated" else 1
-        history = history[:, None].expand(-1, copies, -1, -1, -1)
+        past = history if recorded is None else recorded
+        history, past = (h[:, None].expand(-1, copies, -1, -1, -1) for h in (history, past))
         if state is None:
-            state = self.model.begin(history)
+            state = self.model.begin(past)
         mean, scale = (m[:, None, None, None] for m in (self._scaling.mean, self._scaling.scale))
         observation = ((history - mean) / scale).flatten(start_dim=3)
-        table = None if torch.is_grad_enabled() else _with_room(observation, horizon * WIDTH)
+        width = history.shape[-1]
+        table = None if torch.is_grad_enabled() else _with_room(observation, horizon * width)
         mean, scale = _wide(self._scaling.mean), _wide(self._scaling.scale)
         # Features come before trajectories, so that element-wise work runs over long rows.
-        newest, count = history[:, :, :, 0].permute(0, 3, 1, 2), len(INPUTS)  # [L, F, S, B]
-        setpoint, steering, own = newest[:, :1], newest[:, 1:count], newest[:, count:]
-        own = (own - self._output_mean) / self._output_scale
+        newest = past[:, :, :, 0].permute(0, 3, 1, 2)  # [L, M, S, B]
+        constant, moved, own = newest.split(self._parts, dim=1)
+        own = (own - self._learned_mean) / self._learned_scale
         for step in range(horizon):
             seen = observation.flatten(1, 2)
             action = act(seen)
-            by_feature = action.transpose(1, 2).contiguous().view(*steering.shape)
-            steering = (steering + by_feature * self._action_scale).clamp(
-                self._rule.low, self._rule.high
-            )
-            inputs = torch.cat([setpoint, steering], dim=1)
-            scaled = (inputs - self._input_mean) / self._input_scale
+            by_feature = action.transpose(1, 2).contiguous().view(*moved.shape)
+            moved = torch.addcmul(by_feature * self._scale, moved, self._keep)
+            moved = moved.clamp(self._rule.low, self._rule.high)
+            known = torch.cat([constant, moved], dim=1)
+            scaled = (known - self._known_mean) / self._known_scale
             prediction, state = self.model.predict(
                 state, observation, scaled.permute(0, 2, 3, 1), own
             )
             drawn = self._choose(prediction, propagation, step, noise)
             own = drawn.clamp(self._low, self._high)
-            raw = own * self._output_scale + self._output_mean
-            frame = ((torch.cat([inputs, raw], dim=1) - mean) / scale).permute(0, 2, 3, 1)
+            raw = own * self._learned_scale + self._learned_mean
+            shown = torch.cat([known, raw], dim=1)[:, self._observed]
+            frame = ((shown - mean) / scale).permute(0, 2, 3, 1)
             rewards = self._rewards(own).flatten(1)
             yield VirtualStep(seen, action, rewards, frame.flatten(1, 2), prediction, drawn)
             if table is None:
-                observation = torch.cat([frame, observation[..., :-WIDTH]], dim=-1)
+                observation = torch.cat([frame, observation[..., :-width]], dim=-1)
             else:
-                start = (horizon - 1 - step) * WIDTH
-                table[..., start : start + WIDTH] = frame
+                start = (horizon - 1 - step) * width
+                table[..., start : start + width] = frame
                 observation = table[..., start : start + observation.shape[-1]]
 
     def _rewards(self, targets: Tensor) -> Tensor:

@@ -1,4 +1,8 @@
-"""A small linear machine, its logs, and hand-made models: what the tests of the learners share."""
+"""A small linear machine, its logs, and hand-made models: what the tests of the learners share.
+
+The machine is shaped like the Industrial Benchmark; the models fit any log, see also
+:mod:`tests.components.robot`.
+"""
 
 import dataclasses
 import itertools
@@ -7,12 +11,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.machine import MachineRule, machine_frames
 from components.data.normaliser import Normaliser
 from components.models.action_vae import ActionVAE
 from components.models.mlp_ensemble import MLPEnsemble
-from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.models.recurrent_ensemble import (
+    Feedback,
+    RecurrentEnsemble,
+    RecurrentEnsembleConfig,
+)
 from components.networks import StackedMLP, lane_generator, lane_key
 from components.networks.policy import Policy, PolicyCard
 from components.networks.variational import ConditionalVAE
@@ -20,6 +30,7 @@ from components.networks.variational import ConditionalVAE
 CPU = torch.device("cpu")
 FEATURES = ("setpoint", "velocity", "gain", "shift", "fatigue", "consumption")
 SCALE = np.array([1.0, 10.0, 5.75])
+FATIGUE_ALONE = Feedback.stored(torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1))
 GAINS = np.array([[-0.8, 0.2, 0.0], [0.1, -0.6, 0.3], [0.3, 0.0, -0.5]])
 
 
@@ -79,9 +90,14 @@ def make_log(
         frame_features=FEATURES,
         action_features=("velocity", "gain", "shift"),
         machine={
-            "action_scale": SCALE.tolist(),
-            "steering_low": 0.0,
-            "steering_high": 100.0,
+            "known": {
+                "features": list(FEATURES[:4]),
+                "keep": [1.0] * 3,
+                "scale": SCALE.tolist(),
+                "low": 0.0,
+                "high": 100.0,
+            },
+            "learned": list(FEATURES[4:]),
             "reward": {"fatigue": -0.03, "consumption": -0.01},
         },
         return_steps=steps,
@@ -117,13 +133,13 @@ def keys(*names: object) -> list[int]:
 
 
 def policy_card(dataset: OfflineDataset | None = None, **changes: object) -> PolicyCard:
-    """A card that fits the small machine's frames."""
+    """A card that fits a dataset's frames, or those of the small machine."""
     fields = {
         "algorithm": "test",
         "dataset": "toy" if dataset is None else dataset.card.name,
-        "features": FEATURES,
+        "features": FEATURES if dataset is None else dataset.card.frame_features,
         "history": 3 if dataset is None else dataset.card.history,
-        "actions": 3,
+        "actions": 3 if dataset is None else len(dataset.card.action_features),
         "takes_lambda": False,
         "steps": (1,),
     }
@@ -132,8 +148,8 @@ def policy_card(dataset: OfflineDataset | None = None, **changes: object) -> Pol
 
 def random_policy(dataset: OfflineDataset, names: Sequence[object], hidden: int = 8) -> Policy:
     """One random policy per name, scaled with the statistics of the dataset."""
-    width = dataset.card.history * len(FEATURES)
-    network = StackedMLP([lane_generator(key) for key in keys(*names)], (width, hidden, 3))
+    width, actions = dataset.card.history * dataset.frames.shape[1], dataset.actions.shape[1]
+    network = StackedMLP([lane_generator(key) for key in keys(*names)], (width, hidden, actions))
     scaling = Normaliser.fit(dataset.frames)
     card = policy_card(dataset, steps=tuple(range(len(names))))
     return Policy.of_networks(
@@ -150,21 +166,46 @@ def constant_policy(actions: Sequence[float], features: int = 6, history: int = 
     return Policy.of_networks(card, {"actor": [(weight, bias)]}, scaling)
 
 
+def machine_scaling(dataset: OfflineDataset) -> tuple[MachineRule, Normaliser, Tensor]:
+    """What its card says, the scaling of its machine frames, and their normalised targets."""
+    rule = MachineRule.of_card(dataset.card)
+    frames = machine_frames(dataset, rule)
+    scaling = Normaliser.fit(frames)
+    return rule, scaling, scaling.apply(torch.from_numpy(frames))[:, len(rule.known) :]
+
+
 def random_ensemble(
     dataset: OfflineDataset, name: object, members: int = 3, hidden: int = 5
 ) -> RecurrentEnsemble:
-    """An untrained ensemble with visible differences between its members."""
+    """An untrained ensemble with visible differences between its members.
+
+    On the small machine networks predict values of one target each, on a robot changes of all.
+    """
     rng = lane_generator(lane_key("ensemble", name))
-    scaling = Normaliser.fit(dataset.frames)
-    scaled = scaling.apply(torch.from_numpy(dataset.frames))[:, 4:]
-    weight = torch.from_numpy(rng.normal(0.0, 0.5, (2 * members, hidden, hidden + 6))).float()
-    weight[members:, :, hidden + 4] = 0.0
+    rule, scaling, scaled = machine_scaling(dataset)
+    form = {"networks": "joint", "target": "change"} if rule.hides else {}
+    feedback = Feedback.of(RecurrentEnsembleConfig(**form), rule)
+    groups, looped = feedback.reads.shape
+    columns = hidden + len(rule.known) + looped + 1
+    shapes = (
+        (members * groups, hidden, columns),
+        (
+            members * groups,
+            len(rule.learned) // groups,
+            hidden + 1,
+        ),
+    )
+    weight = torch.from_numpy(rng.normal(0.0, 0.5, shapes[0])).float()
+    reads = feedback.reads.repeat_interleave(members, dim=0)[:, None]
+    weight[:, :, -1 - looped : -1] *= reads
     return RecurrentEnsemble(
         weight,
-        torch.from_numpy(rng.normal(0.0, 0.6, (2 * members, 1, hidden + 1))).float(),
+        torch.from_numpy(rng.normal(0.0, 0.2 if rule.hides else 0.6, shapes[1])).float(),
         scaling,
         scaled.amin(dim=0),
         scaled.amax(dim=0),
+        feedback,
+        warm_up=3,
     )
 
 
@@ -173,24 +214,25 @@ def random_mlp_ensemble(
 ) -> MLPEnsemble:
     """An untrained ensemble of one-step models of changes, with visible differences."""
     rng = lane_generator(lane_key("mlp", name))
-    scaling = Normaliser.fit(dataset.frames)
-    scaled = scaling.apply(torch.from_numpy(dataset.frames))[:, 4:]
-    sizes = (dataset.card.history * len(FEATURES) + 4, 5, 4 if gaussian else 2)
+    rule, scaling, scaled = machine_scaling(dataset)
+    targets = len(rule.learned)
+    inputs = dataset.card.history * dataset.frames.shape[1] + len(rule.known)
     layers = [
         (
             torch.from_numpy(rng.normal(0.0, inputs**-0.5, (members, inputs, outputs))).float(),
             torch.from_numpy(rng.normal(0.0, 0.3, (members, 1, outputs))).float(),
         )
-        for inputs, outputs in itertools.pairwise(sizes)
+        for inputs, outputs in itertools.pairwise((inputs, 5, targets * (2 if gaussian else 1)))
     ]
-    bounds = torch.tensor([[-6.0, -6.0], [0.5, 0.5]]).expand(members, 2, 2).clone()
+    bounds = torch.tensor([[-6.0], [0.5]]).expand(members, 2, targets).clone()
     return MLPEnsemble(
         layers=tuple(layers),
         frames=scaling,
+        observed=rule.observed,
         low=scaled.amin(dim=0),
         high=scaled.amax(dim=0),
-        target_mean=torch.tensor([0.01, -0.02]),
-        target_scale=torch.tensor([0.3, 0.4]),
+        target_mean=torch.linspace(0.01, -0.02, targets),
+        target_scale=torch.linspace(0.3, 0.4, targets),
         log_variance=bounds if gaussian else torch.empty(0),
         history=dataset.card.history,
         activation="swish" if gaussian else "relu",
@@ -200,11 +242,12 @@ def random_mlp_ensemble(
 
 
 def random_action_vae(dataset: OfflineDataset, name: object) -> ActionVAE:
-    """An untrained autoencoder that reads two frames, in a scaling of its own."""
-    fitted = Normaliser.fit(dataset.frames)
+    """An untrained autoencoder that reads at most two frames, in a scaling of its own."""
+    fitted, history = Normaliser.fit(dataset.frames), min(2, dataset.card.history)
     own = Normaliser(fitted.mean + 3.0, 1.5 * fitted.scale)
-    network = ConditionalVAE([lane_key("vae", name)], 2 * len(FEATURES), 3, (7, 6))
-    return ActionVAE(network.requires_grad_(False), own, 2, (7, 6))
+    width, actions = history * dataset.frames.shape[1], dataset.actions.shape[1]
+    network = ConditionalVAE([lane_key("vae", name)], width, actions, (7, 6))
+    return ActionVAE(network.requires_grad_(False), own, history, (7, 6))
 
 
 def random_model(model: str, dataset: OfflineDataset) -> Any:

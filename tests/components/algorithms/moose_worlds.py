@@ -60,6 +60,7 @@ def exact_ensemble(*extra: float) -> MLPEnsemble:
             (weight.repeat(len(extra), 1, 1), torch.from_numpy(np.array(biases)).float()[:, None]),
         ),
         frames=scaling,
+        observed=(0, 6),
         low=torch.full((2,), -99.0),
         high=torch.full((2,), 99.0),
         target_mean=torch.zeros(2),

@@ -36,6 +36,7 @@ def ensemble(
     return MLPEnsemble(
         layers=((torch.from_numpy(weight).float(), torch.from_numpy(bias).float()[:, None]),),
         frames=Normaliser.fit(log.frames),
+        observed=(0, 6),
         low=torch.full((2,), -50.0),
         high=torch.full((2,), 50.0),
         target_mean=torch.zeros(2),

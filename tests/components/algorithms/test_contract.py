@@ -1,4 +1,7 @@
-"""What every algorithm owes: shapes, bounds, finite metrics, policies that can be stored."""
+"""What every algorithm owes: shapes, bounds, finite metrics, policies that can be stored.
+
+In two worlds: a machine that shows padded histories and never ends, and a robot that falls.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -8,14 +11,17 @@ import torch
 
 from components.algorithms import ALGORITHMS
 from components.algorithms.base import Ingredients, first_rows
+from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.models import MODELS
 from components.networks.policy import Policy
 from tests.components.algorithms.stacks import learner, run
+from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, make_log, policy_card, relabelled
 
 LOG = make_log()
 every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+in_every_world = pytest.mark.parametrize("log", [LOG, make_robot_log()], ids=lambda d: d.card.name)
 WITHOUT_CRITICS = ("bc", "rvs", "lion", "moose", "model_based", "wsbc")
 
 
@@ -60,9 +66,10 @@ def test_module_offers_the_outline(name: str) -> None:
     assert module.Config().updates >= 1
 
 
+@in_every_world
 @every_algorithm
-def test_metrics_are_finite_and_one_per_lane(name: str) -> None:
-    made = learner(name, [LOG] * 3, range(3))
+def test_metrics_are_finite_and_one_per_lane(name: str, log: OfflineDataset) -> None:
+    made = learner(name, [log] * 3, range(3))
     assert made.lanes == 3
     for metrics in run(made, 8):
         assert metrics
@@ -72,31 +79,36 @@ def test_metrics_are_finite_and_one_per_lane(name: str) -> None:
             assert not value.requires_grad
 
 
+@in_every_world
 @every_algorithm
-def test_policies_act_within_bounds_and_survive_storage(name: str, tmp_path: Path) -> None:
+def test_policies_act_within_bounds_and_survive_storage(
+    name: str, log: OfflineDataset, tmp_path: Path
+) -> None:
     takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
     has_rate = hasattr(ALGORITHMS[name].Config, "learning_rate")
-    made = learner(name, [LOG] * 2, range(2), **({"learning_rate": 0.03} if has_rate else {}))
+    made = learner(name, [log] * 2, range(2), **({"learning_rate": 0.03} if has_rate else {}))
     run(made, 20)
-    policy = made.policy(policy_card(LOG, takes_lambda=takes_lambda))
+    policy = made.policy(policy_card(log, takes_lambda=takes_lambda))
     assert policy.lanes == 2
-    histories = 50.0 * torch.randn(2, 9, 3, 6, generator=torch.Generator().manual_seed(0))
+    shape = (2, 9, log.card.history, len(log.card.frame_features))
+    histories = 50.0 * torch.randn(shape, generator=torch.Generator().manual_seed(0))
     proximity = torch.linspace(0, 1, 9).expand(2, -1) if takes_lambda else None
     noise = candidate_noise(policy, 9)
     actions = policy.act(histories, proximity, noise)
-    assert actions.shape == (2, 9, 3)
+    assert actions.shape == (2, 9, len(log.card.action_features))
     assert actions.abs().max() <= 1.0
     policy.save(tmp_path)
     assert torch.equal(Policy.load(tmp_path).act(histories, proximity, noise), actions)
 
 
+@in_every_world
 @every_algorithm
-def test_deployed_policy_sees_what_the_learner_saw(name: str) -> None:
+def test_deployed_policy_sees_what_the_learner_saw(name: str, log: OfflineDataset) -> None:
     """Raw frames through the artifact equal scaled frames through the learner's own network."""
-    made = learner(name, [LOG], [0])
+    made = learner(name, [log], [0])
     run(made, 4)
     takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
-    policy = made.policy(policy_card(LOG, takes_lambda=takes_lambda))
+    policy = made.policy(policy_card(log, takes_lambda=takes_lambda))
     index = torch.tensor([[0, 1, 7, 39, 40, 200]])
     observations = made._data.observations(index)
     histories = made._data.denormalise_history(observations)
@@ -123,14 +135,15 @@ def test_a_policy_does_not_move_when_training_goes_on(name: str) -> None:
         assert torch.equal(old, weight)
 
 
+@in_every_world
 @every_algorithm
-def test_state_has_lanes_first_and_round_trips(name: str) -> None:
-    made = learner(name, [LOG] * 3, range(3))
+def test_state_has_lanes_first_and_round_trips(name: str, log: OfflineDataset) -> None:
+    made = learner(name, [log] * 3, range(3))
     run(made, 6)
     state = {k: v.clone() for k, v in made.state_dict().items()}
     assert {tensor.shape[0] % 3 for tensor in state.values()} == {0}
     expected = run(made, 4, start=6)
-    other = learner(name, [LOG] * 3, range(3))
+    other = learner(name, [log] * 3, range(3))
     other.load_state_dict(state)
     for ours, theirs in zip(run(other, 4, start=6), expected, strict=True):
         for metric, value in theirs.items():
@@ -141,7 +154,7 @@ def test_lanes_need_equal_shapes_and_one_machine() -> None:
     with pytest.raises(ValueError, match="equal frame, action and history widths"):
         LaneData([LOG, make_log(history=4)], CPU)
     other = make_log("other")
-    other.card.machine["steering_high"] = 90.0  # type: ignore[index]
+    other.card.machine["known"]["high"] = 90.0
     with pytest.raises(ValueError, match="same kind of machine"):
         _ = Ingredients(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
 
@@ -150,6 +163,9 @@ def test_first_rows_stay_inside_their_episodes() -> None:
     short = make_log(episodes=2, steps=4)
     assert first_rows(short, 2).tolist() == [0, 1, 4, 5]
     assert first_rows(short, 9).tolist() == list(range(8))
+    assert first_rows(short, 9, 3).tolist() == [3, 7]
+    with pytest.raises(ValueError, match=r"No trajectory of toy has a step .* lower start_after"):
+        first_rows(short, 9, 4)
 
 
 @pytest.mark.parametrize("name", ["bcq", "bear"])

@@ -4,13 +4,25 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
+from components.data.dataset import OfflineDataset
 from tests.components.algorithms.stacks import learner, run
+from tests.components.robot import make_robot_log
 from tests.components.synthetic import make_log
 
 LOG = make_log()
 OTHER = make_log("other", seed=5, explore=0.2)
+ROBOT = make_robot_log()
+OTHER_ROBOT = make_robot_log("robot2", seed=5, episodes=19)
 UPDATES = 200
 every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+# Those with a learned machine meet another one on a robot: its own past, its own end.
+HYBRIDS = ("lion", "wsbc", "mopo")
+in_their_worlds = pytest.mark.parametrize(
+    ("name", "logs"),
+    [(name, (LOG, OTHER)) for name in ALGORITHMS]
+    + [(name, (ROBOT, OTHER_ROBOT)) for name in HYBRIDS],
+    ids=lambda x: x if isinstance(x, str) else x[0].card.name,
+)
 
 # Stacked and single products may sum in another order, and Adam turns a difference in a tiny
 # gradient into one of the step's size: after 200 updates at rate 1e-3 float32 leaves this much.
@@ -29,12 +41,14 @@ def networks(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name: tensor for name, tensor in state.items() if "optimizer" not in name}
 
 
-@every_algorithm
-def test_lane_of_a_stack_equals_the_lane_alone(name: str) -> None:
-    stack = learner(name, [LOG] * 3, [0, 1, 2])
+@in_their_worlds
+def test_lane_of_a_stack_equals_the_lane_alone(
+    name: str, logs: tuple[OfflineDataset, OfflineDataset]
+) -> None:
+    stack = learner(name, [logs[0]] * 3, [0, 1, 2])
     run(stack, UPDATES)
     moved = networks(lane_state(stack, 1))
-    alone = learner(name, [LOG], [1])
+    alone = learner(name, [logs[0]], [1])
     fresh = {k: v.clone() for k, v in networks(lane_state(alone, 0)).items()}
     run(alone, UPDATES)
     for key, tensor in networks(lane_state(alone, 0)).items():
@@ -45,11 +59,13 @@ def test_lane_of_a_stack_equals_the_lane_alone(name: str) -> None:
     assert max(float((moved[key] - fresh[key]).abs().max()) for key in learned) > 0.05
 
 
-@every_algorithm
-def test_lanes_of_two_datasets_equal_each_alone(name: str) -> None:
-    stack = learner(name, [LOG, OTHER], [0, 0])
+@in_their_worlds
+def test_lanes_of_two_datasets_equal_each_alone(
+    name: str, logs: tuple[OfflineDataset, OfflineDataset]
+) -> None:
+    stack = learner(name, logs, [0, 0])
     run(stack, UPDATES)
-    for lane, log in enumerate((LOG, OTHER)):
+    for lane, log in enumerate(logs):
         alone = learner(name, [log], [0])
         run(alone, UPDATES)
         for key, tensor in networks(lane_state(alone, 0)).items():
@@ -65,7 +81,8 @@ def test_equal_seeds_give_equal_numbers_and_others_do_not(name: str) -> None:
     for lane in (0, 1):
         for key, tensor in first[lane].items():
             assert torch.equal(tensor, again[lane][key])
-    # A detector belongs to the dataset and its models, not to the seed.
-    own = {k: v for k, v in networks(first[1]).items() if not k.startswith("detector.")}
+    # A detector belongs to the dataset and its models, not to the seed; nothing ends here.
+    shared = ("detector.", "buffer.ended")
+    own = {k: v for k, v in networks(first[1]).items() if not k.startswith(shared)}
     different = [k for k, v in own.items() if not torch.equal(v, other[1][k])]
     assert len(different) == len(own)

@@ -19,8 +19,9 @@ from components.algorithms.halting import (
 )
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
+from components.data.machine import MachineRule
 from components.models.mlp_ensemble import MLPTransition
-from components.models.rollout import MachineRule, Prediction, VirtualMachine
+from components.models.rollout import Prediction, VirtualMachine
 from tests.components.models.plain import member_outputs
 from tests.components.synthetic import CPU, SCALE, make_log, random_mlp_ensemble
 

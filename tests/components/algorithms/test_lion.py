@@ -131,10 +131,11 @@ def test_lambda_follows_its_beta_distribution() -> None:
     assert float(drawn.var()) == pytest.approx(0.2083, abs=5 * 0.002)
 
 
-def test_virtual_trajectories_begin_at_the_beginning() -> None:
-    made = learner("lion", [LOG], [0], trajectories=500, start_window=4)
+@pytest.mark.parametrize("after", [0, 2])
+def test_virtual_trajectories_begin_at_the_beginning(after: int) -> None:
+    made = learner("lion", [LOG], [0], trajectories=500, start_window=4, start_after=after)
     starts = made._streams.at(0)["start"][0] % STEPS
-    assert sorted(set(starts.tolist())) == [0, 1, 2, 3]
+    assert sorted(set(starts.tolist())) == list(range(after, 4))
     clones = made._streams.at(0)["clone"][0] % STEPS
     assert len(set(clones.tolist())) == STEPS, "500 draws of 40: a miss has chance 1e-4 a step"
 

@@ -96,6 +96,7 @@ def test_contents_are_state_with_the_lane_axis_first() -> None:
         "frames": (2, 21, 4, 6),
         "actions": (2, 21, 4, 3),
         "rewards": (2, 21, 4),
+        "ended": (2, 21),
     }
     other = ModelBuffer(LaneData(LOGS, CPU, 1e-3), 21, 4)
     other.load_state_dict(state)

@@ -66,6 +66,20 @@ def test_returns_equal_a_plain_loop_over_rewards() -> None:
             assert made._returns[lane, row].item() == expected
 
 
+def test_after_a_fall_nothing_is_earned_and_a_time_out_is_no_fall() -> None:
+    log = of_unequal_lengths()
+    terminated = np.zeros(log.transitions, dtype=np.bool_)
+    terminated[[24, 55]] = True  # of the first episode and of the short one
+    log = relabelled(log, terminated=terminated, truncated=log.truncated & ~terminated)
+    rows, returns = rvs._achieved(log, rvs.Config(window=WINDOW, discount=DISCOUNT))
+    assert rows.tolist() == [*range(25), *range(25, 41), *range(50, 56), 56]
+    ends = np.repeat(log.episode_starts[1:], np.diff(log.episode_starts))
+    for row, found in zip(rows, returns, strict=True):
+        rewards = log.rewards[row : min(row + WINDOW, ends[row])].tolist()
+        expected = sum(DISCOUNT**k * reward for k, reward in enumerate(rewards))
+        assert found == pytest.approx(expected)
+
+
 def test_steps_without_a_whole_window_are_never_drawn() -> None:
     made = small([of_unequal_lengths()])
     drawn = torch.cat([made._streams.at(step)["row"].flatten() for step in range(100)])

@@ -11,9 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.data.machine import MachineRule
 from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPEnsemble, MLPTransition, bounded_log_variance
-from components.models.rollout import MachineRule, Propagation, VirtualMachine
+from components.models.rollout import Propagation, VirtualMachine
 from components.networks.checkpoint import save_tensors
 from tests.components.models.plain import doubles, trajectory
 from tests.components.synthetic import CPU, make_log, random_mlp_ensemble
@@ -197,7 +198,7 @@ def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
     save_tensors(
         tmp_path / "ensemble.safetensors", {"x": torch.ones(1)}, {"format": "recurrent-ensemble/1"}
     )
-    with pytest.raises(ValueError, match=r"recurrent-ensemble/1.*expected 'mlp-ensemble/1'"):
+    with pytest.raises(ValueError, match=r"recurrent-ensemble/1.*expected 'mlp-ensemble/2'"):
         MLPEnsemble.load(tmp_path)
     (tmp_path / "ensemble.safetensors").write_bytes(b"\x80\x04K\x01.")  # a pickle
     with pytest.raises(ValueError, match="damaged or was not written by this project"):

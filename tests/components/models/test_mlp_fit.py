@@ -244,7 +244,7 @@ def test_gaussian_members_find_the_noise_of_the_machine() -> None:
 def test_training_loss_by_hand(kind: type[MLPEnsembleConfig]) -> None:
     config = small(kind, hidden=(5, 4, 3), target="change", weight_decay=0.02)
     data = mlp_fit._Transitions(LOG, config, CPU)
-    network = mlp_fit._Network([1, 2], data.inputs, config)
+    network = mlp_fit._Network([1, 2], data.inputs, 2, config)
     index = torch.tensor([[0, 7, 99], [3, 41, 120]])
     found, _ = mlp_fit._Losses(data, config.decays).training(network, {"row": index})
     found = found.detach()
@@ -253,6 +253,7 @@ def test_training_loss_by_hand(kind: type[MLPEnsembleConfig]) -> None:
     model = MLPEnsemble(
         layers=tuple(network.stack.affine()),
         frames=data.scaling,
+        observed=(0, 6),
         low=data.low,
         high=data.high,
         target_mean=data.moments[0].mean,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from components.data.catalogue import DATASETS, generate
+from components.data.machine import MachineRule
 from components.data.normaliser import Normaliser
 from components.models import recurrent_fit
 from components.models.recurrent_ensemble import (
@@ -18,12 +19,12 @@ from components.models.recurrent_ensemble import (
 )
 from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import MachineRule, VirtualMachine
+from components.models.rollout import VirtualMachine
 from components.models.supervised import Fit
 from components.networks import lane_key
 from components.networks.checkpoint import save_tensors
 from tests.components.interruption import killed_at, save_always
-from tests.components.synthetic import CPU, SCALE, make_log, random_ensemble
+from tests.components.synthetic import CPU, FATIGUE_ALONE, SCALE, make_log, random_ensemble
 
 TINY = RecurrentEnsembleConfig(
     members=2, hidden=6, warm_up=5, horizon=8, batch=16, updates=40, validate_every=7, holdout=0.2
@@ -31,6 +32,13 @@ TINY = RecurrentEnsembleConfig(
 LOG = make_log()
 
 NAMES = ["fatigue0", "fatigue1", "consumption0", "consumption1"]
+
+
+def predict(ensemble: RecurrentEnsemble, windows: Tensor) -> Tensor:
+    """Of an ensemble, with the warm-up of the small settings."""
+    return predict_windows(
+        ensemble.weight, ensemble.readout, windows, TINY.warm_up, ensemble.feedback
+    )
 
 
 def by_loop(weight: Tensor, readout: Tensor, windows: Tensor, warm_up: int) -> Tensor:
@@ -56,7 +64,7 @@ def test_closed_loop_equals_feeding_predictions_back() -> None:
     ]
     windows = torch.randn(13, 4, 5, 9, generator=g, dtype=torch.float64)
     windows[:, 2:, 4] = 0.0  # consumption networks have no own value
-    ours = predict_windows(*made, windows, TINY)
+    ours = predict_windows(*made, windows, TINY.warm_up, FATIGUE_ALONE)
     theirs = by_loop(*made, windows, TINY.warm_up)
     assert ours.shape == (8, 4, 9)
     torch.testing.assert_close(ours, theirs)
@@ -68,11 +76,11 @@ def test_closed_loop_equals_feeding_predictions_back() -> None:
 def test_recorded_values_are_read_up_to_the_first_predicted_step() -> None:
     ensemble = random_ensemble(LOG, 0, members=2, hidden=6)
     windows = torch.randn(13, 4, 5, 9, generator=torch.Generator().manual_seed(0))
-    before = predict_windows(ensemble.weight, ensemble.readout, windows, TINY)
+    before = predict(ensemble, windows)
     for row, matters in ((TINY.warm_up, True), (TINY.warm_up + 1, False)):
         changed = windows.clone()
         changed[row, :2, 4] += 1.0
-        after = predict_windows(ensemble.weight, ensemble.readout, changed, TINY)
+        after = predict(ensemble, changed)
         assert torch.equal(before, after) != matters
 
 
@@ -138,11 +146,13 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         ensemble.frames,
         ensemble.low - 99.0,
         ensemble.high + 99.0,
+        ensemble.feedback,
+        ensemble.warm_up,
     )
     windows = recurrent_fit._Windows(LOG, TINY, CPU)
     start = windows.held_out[:7]
     inputs, _ = windows.gather(start.expand(4, -1))
-    expected = predict_windows(alone.weight, alone.readout, inputs[:, ::2], TINY)
+    expected = predict(alone, inputs[:, ::2])
     rows = start[:, None] + TINY.warm_up - torch.arange(TINY.warm_up + 1)
     history = torch.from_numpy(LOG.frames)[rows][None]
     actions = [LOG.frames[start + TINY.warm_up + t + 1, 1:4] for t in range(TINY.horizon)]

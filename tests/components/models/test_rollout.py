@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.data.machine import MachineRule
 from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPTransition
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.recurrent_transition import RecurrentTransition
 from components.models.rollout import (
-    MachineRule,
     PredictionRange,
     VirtualMachine,
     _first_lowest,
@@ -22,6 +22,7 @@ from components.models.rollout import (
 )
 from tests.components.synthetic import (
     CPU,
+    FATIGUE_ALONE,
     SCALE,
     make_log,
     random_ensemble,
@@ -46,7 +47,13 @@ def constant_ensemble(
     )
     weight = torch.zeros(2 * members, width, width + 6)
     return RecurrentEnsemble(
-        weight, readout, scaling, torch.full((2,), low), torch.full((2,), high)
+        weight,
+        readout,
+        scaling,
+        torch.full((2,), low),
+        torch.full((2,), high),
+        FATIGUE_ALONE,
+        warm_up=3,
     )
 
 
@@ -288,10 +295,11 @@ def test_lanes_do_not_feel_each_other() -> None:
 
 
 def test_cards_must_tell_how_actions_move_the_machine() -> None:
-    assert RULE.action_scale == tuple(SCALE)
+    assert RULE.scale == tuple(SCALE)
     assert RULE.reward == (-0.03, -0.01)
-    card = dataclasses.replace(LOG.card, machine={"action_scale": [1.0]})
-    with pytest.raises(ValueError, match="card of toy lacks 'steering_low' in its machine section"):
+    known = {"features": ["setpoint"], "keep": [1.0], "scale": [0.0]}
+    card = dataclasses.replace(LOG.card, machine={"known": known, "learned": []})
+    with pytest.raises(ValueError, match="card of toy lacks 'low' in its machine section"):
         MachineRule.of_card(card)
 
 

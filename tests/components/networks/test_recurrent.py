@@ -4,15 +4,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.networks.recurrent import fast_tanh, unroll_cells
+from components.networks.recurrent import fast_tanh, unroll_cells, unroll_loops
 
 Operands = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
-def operands(dtype: torch.dtype = torch.float64, steps: int = 6) -> Operands:
+def operands(
+    dtype: torch.dtype = torch.float64, steps: int = 6, outputs: int = 1, looped: int = 0
+) -> Operands:
     g = torch.Generator().manual_seed(0)
     cells, width, features, batch = 3, 4, 2, 5
-    shapes = [(cells, width, width + features + 1), (cells, 1, width + 1), (cells, width, batch)]
+    columns = width + features + looped + 1
+    shapes = [(cells, width, columns), (cells, outputs, width + 1), (cells, width, batch)]
     made = [(0.5 * torch.randn(s, generator=g, dtype=dtype)).requires_grad_() for s in shapes]
     return (*made, torch.randn(steps, cells, features, batch, generator=g, dtype=dtype))
 
@@ -23,13 +26,15 @@ def by_loop(weight: Tensor, readout: Tensor, hidden: Tensor, inputs: Tensor) -> 
     for x in inputs:
         recurrent, forward, bias = weight.split([width, inputs.shape[2], 1], dim=2)
         hidden = torch.tanh(recurrent @ hidden + forward @ x + bias)
-        readings.append((readout[:, :, :-1] @ hidden + readout[:, :, -1:]).squeeze(1))
+        readings.append((readout[:, :, :-1] @ hidden + readout[:, :, -1:]).flatten(0, 1))
     return torch.stack(readings), hidden
 
 
-def test_values_and_gradients_equal_the_loop() -> None:
-    ours, theirs = operands(), operands()
-    mix = torch.randn(6, 3, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_values_and_gradients_equal_the_loop(outputs: int) -> None:
+    ours, theirs = operands(outputs=outputs), operands(outputs=outputs)
+    g = torch.Generator().manual_seed(1)
+    mix = torch.randn(6, 3 * outputs, 5, generator=g, dtype=torch.float64)
     for arguments, function in ((ours, unroll_cells), (theirs, by_loop)):
         readings, last = function(*arguments)
         ((mix * readings).sum() + last.square().sum()).backward()
@@ -47,6 +52,61 @@ def test_gradients_equal_finite_differences(steps: int) -> None:
     assert torch.autograd.gradcheck(
         lambda w, r, h: unroll_cells(w, r, h, inputs), (weight, readout, hidden)
     )
+
+
+def loops_by_hand(
+    weight: Tensor,
+    readout: Tensor,
+    hidden: Tensor,
+    inputs: Tensor,
+    own: Tensor,
+    reads: Tensor,
+    adds: Tensor,
+) -> tuple:
+    width, looped = hidden.shape[1], own.shape[1]
+    values = []
+    for x in inputs:
+        recurrent, forward, bias = weight.split([width, x.shape[1] + looped, 1], dim=2)
+        hidden = torch.tanh(recurrent @ hidden + forward @ torch.cat([x, own], dim=1) + bias)
+        read = readout[:, :, :-1] @ hidden + readout[:, :, -1:]
+        carried = read[:, :looped] + adds * own
+        own = reads * carried
+        values.append(torch.cat([carried, read[:, looped:]], dim=1).flatten(0, 1))
+    return torch.stack(values), hidden
+
+
+def test_loops_carry_values_and_sums_of_readings() -> None:
+    """One cell adds up its first reading, takes its second as it is; another reads neither."""
+    ours, theirs = (operands(outputs=3, looped=2) for _ in range(2))
+    reads = torch.tensor([[1.0, 1.0], [0.0, 0.0], [1.0, 0.0]]).double()[:, :, None]
+    adds = torch.tensor([[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]).double()[:, :, None]
+    g = torch.Generator().manual_seed(1)
+    mix = torch.randn(6, 9, 5, generator=g, dtype=torch.float64)
+    start = reads * torch.randn(3, 2, 5, generator=g, dtype=torch.float64)
+    found = []
+    for arguments, function in ((ours, unroll_loops), (theirs, loops_by_hand)):
+        own = start.clone().requires_grad_()
+        values, last = function(*arguments, own, reads, adds)
+        ((mix * values).sum() + last.square().sum()).backward()
+        found.append((values, last, own.grad, *(x.grad for x in arguments[:3])))
+    for one, other in zip(*found, strict=True):
+        # double precision; tanh by way of the sigmoid differs in the last digits
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-12)
+
+
+def test_loops_that_read_nothing_are_plain_cells() -> None:
+    weight, readout, hidden, inputs = operands(outputs=2, looped=1)
+    nothing = torch.zeros(3, 1, 5).double()
+    found, _ = unroll_loops(weight, readout, hidden, inputs, nothing, *[nothing[:, :, :1]] * 2)
+    shorter = torch.cat([weight[:, :, :6], weight[:, :, -1:]], dim=2)
+    torch.testing.assert_close(found, unroll_cells(shorter, readout, hidden, inputs)[0])
+
+
+def test_without_any_step_the_hidden_state_stays() -> None:
+    weight, readout, hidden, inputs = operands()
+    readings, last = unroll_cells(weight, readout, hidden, inputs[:0])
+    assert readings.shape == (0, 3, 5)
+    assert torch.equal(last, hidden)
 
 
 def test_single_precision_stays_close_to_double() -> None:

@@ -1,0 +1,75 @@
+"""MOPO on a robot that falls: where its trajectories end, and what the ring makes of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from components.algorithms.model_buffer import ModelBuffer
+from components.algorithms.mopo import healthy_ranges
+from components.data.dataset import OfflineDataset
+from components.data.lanes import LaneData
+from tests.components.algorithms.stacks import learner
+from tests.components.robot import HEALTHY, LIMIT, make_robot_log
+from tests.components.synthetic import CPU, make_log
+
+LOG = make_robot_log()
+
+
+def with_ranges(log: OfflineDataset, **healthy: list) -> OfflineDataset:
+    """The log on whose card other ranges stand."""
+    machine = {**log.card.machine, "healthy": healthy}
+    return dataclasses.replace(log, card=dataclasses.replace(log.card, machine=machine))
+
+
+def test_healthy_ranges_are_scaled_like_what_policies_see() -> None:
+    data = LaneData([LOG, make_robot_log("other", seed=5)], CPU)
+    found = healthy_ranges(data)
+    assert found is not None
+    scaling = data.frame_scaling
+    low, high = (side * scaling.scale[:, None] + scaling.mean[:, None] for side in found)
+    assert low.shape == (2, 1, 3)
+    assert HEALTHY == {"tilt": [-LIMIT, LIMIT], "speed": [None, 50.0]}
+    # scaled and unscaled in single precision
+    torch.testing.assert_close(low[:, 0, 0], torch.full((2,), -LIMIT))
+    torch.testing.assert_close(high[:, 0, :2], torch.tensor([[LIMIT, 50.0]] * 2))
+    assert torch.equal(low[:, 0, 1:], torch.full((2, 2), -torch.inf))
+    assert torch.equal(high[:, 0, 2], torch.full((2,), torch.inf))
+
+
+def test_machines_that_never_fall_and_wrong_names() -> None:
+    assert healthy_ranges(LaneData([make_log()], CPU)) is None
+    assert healthy_ranges(LaneData([with_ranges(LOG)], CPU)) is None
+    with pytest.raises(ValueError, match="healthy range of 'height', which is no feature"):
+        healthy_ranges(LaneData([with_ranges(LOG, height=[0.7, None])], CPU))
+
+
+@torch.no_grad()
+def test_trajectories_end_at_their_first_fall() -> None:
+    made = learner("mopo", [LOG, make_robot_log("other", seed=5)], [0, 1], rollouts=200)
+    drawn = {name: value.clone() for name, value in made._rollout_streams.at(0).items()}
+    made._roll_out(0)
+    scaling = made._data.frame_scaling
+    frames = torch.stack([step.frames for step in made._unroll(drawn)])  # [T, L, B, F]
+    tilt = (frames * scaling.scale[:, None] + scaling.mean[:, None])[..., 0]
+    ends = []
+    for lane, b in np.ndindex(2, 200):
+        fallen = [abs(float(t)) >= LIMIT for t in tilt[:, lane, b]]
+        ends.append(fallen.index(True) if any(fallen) else 4)
+        assert made._buffer.ended[lane, b] == ends[-1]
+    assert set(ends) == {0, 1, 2, 3, 4}, "every ending must occur for this test to say something"
+
+
+def test_nothing_is_drawn_from_behind_an_end() -> None:
+    buffer = ModelBuffer(LaneData([LOG], CPU), 3, 4)
+    numbers = torch.arange(12.0).view(4, 1, 3)  # of step t and trajectory n: 3 t + n
+    frames = numbers[..., None].expand(-1, -1, -1, 3)
+    ended = torch.tensor([[1, 4, 3]])  # at the second step, never, at the last
+    buffer.write(0, torch.zeros(1, 3).long(), [*frames], [*frames[..., :2]], [*numbers], ended)
+    batch = buffer.batch(torch.arange(12)[None])
+    first, second, third = [0, 3, 0, 3], [1, 4, 7, 10], [2, 5, 8, 11]
+    assert batch.rewards[0].tolist() == first + second + third
+    assert torch.equal(batch.next_observations, batch.rewards[..., None].expand(-1, -1, 3))
+    assert batch.observations[0, [1, 3, 5], 0].tolist() == [0.0, 0.0, 1.0]
+    assert batch.continues[0].tolist() == [1, 0, 1, 0, 1, 1, 1, 1, 1, 1, 1, 0]
