@@ -9,8 +9,8 @@ the same held-out transitions whatever is varied. Recurrent ensembles are judged
 windows of ``warm_up + horizon`` steps: a shorter warm-up leaves a few more of them, at the
 beginning of each held-out trajectory (of 1,000 steps, 941 instead of 921 windows between the two
 ends of the range), and is otherwise the harder task of the same predictions. It is not searched
-beyond 30 steps, because policies see no more at run time. Their target form is not searched:
-only the absolute value is implemented for them.
+beyond 30 steps, because policies see no more at run time. Whether they predict values or changes,
+what is judged are values.
 """
 
 from collections.abc import Mapping
@@ -199,6 +199,7 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
         },
         "recurrent_ensemble": {
             "hidden": Whole(15, 60),
+            "target": Choice(("value", "change")),
             "warm_up": Choice((10, 20, 30)),
             "batch": Choice((128, 256, 512)),
             "learning_rate": Range(1e-3, 2e-2),

@@ -11,7 +11,7 @@ from flows.tuning import space as spaces
 from flows.tuning.space import SPACES, Choice, Range, RangeOrZero, Whole
 
 NEVER = {"members", "elites", "holdout", "horizon", "epochs", "updates", "validate_every",
-         "patience", "improvement", "action_clip"}  # fmt: skip
+         "patience", "improvement", "action_clip", "networks", "memoryless"}  # fmt: skip
 
 
 def test_every_model_has_a_space() -> None:
