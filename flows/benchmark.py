@@ -77,7 +77,10 @@ def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
 
 def _data_node(settings: Settings, name: str) -> Node:
     spec = settings.dataset[name]
-    made_with = dict(spec.ingredients)
+    try:
+        made_with = dict(spec.ingredients)
+    except (FileNotFoundError, ValueError) as error:
+        raise SettingsError(f"{name}: {error}") from error
     return Node(
         component="data_generation",
         name=f"data/{name}",
@@ -199,7 +202,11 @@ def _aggregation_node(
 
 
 def data_plan(settings: Settings) -> Plan:
-    """Data generation alone."""
+    """Data generation alone.
+
+    Raises:
+        SettingsError: What a dataset is made with is missing or damaged.
+    """
     return Plan([_data_node(settings, name) for name in settings.datasets])
 
 
@@ -240,7 +247,8 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
         choice: Settings of the models, if they are known already.
 
     Raises:
-        SettingsError: If the trajectories are too short for the models.
+        SettingsError: If the trajectories are too short for the models, or what a dataset is made
+            with is missing or damaged.
     """
     choice = choice or model_choice(settings)
     for (dataset, name), config in choice.configs.items():

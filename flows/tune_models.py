@@ -24,7 +24,7 @@ from flows.session import Metrics, command_words, main, make_executor, run_sweep
 from flows.settings import Settings
 from flows.tuning.ledger import TrialLedger
 from flows.tuning.search import search
-from flows.tuning.space import SPACES
+from flows.tuning.space import PASTS, SPACES
 from flows.tuning.study import Study, Subject, ended_trials, open_journal
 from flows.tuning.tuned_file import TunedModel, write_tuned
 
@@ -60,8 +60,11 @@ def subjects(settings: Settings) -> list[Subject]:
         def node(config: object) -> Node:
             return model_node(model, config, dataset, data[dataset])
 
+        space = SPACES[model]
+        if settings.dataset[dataset].history == 1:
+            space = {name: kind for name, kind in space.items() if name not in PASTS}
         return Subject(
-            dataset, model, settings.model_on(dataset, model), SPACES[model], data[dataset], node
+            dataset, model, settings.model_on(dataset, model), space, data[dataset], node
         )
 
     return [subject(d, m) for d in settings.datasets for m in settings.tuning.models]

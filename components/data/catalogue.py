@@ -31,6 +31,10 @@ class DatasetSpec(Protocol):
         """The system's parameters."""
 
     @property
+    def history(self) -> int:
+        """Frames in an observation."""
+
+    @property
     def ingredients(self) -> Mapping[str, str]:
         """Digests of stored things that it is made with; they identify it beside its fields."""
 

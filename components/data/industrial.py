@@ -76,6 +76,11 @@ class IndustrialSpec:
         return {"setpoint": self.setpoint}
 
     @property
+    def history(self) -> int:
+        """Frames in an observation: the machine shows its state only in part."""
+        return HISTORY_LENGTH
+
+    @property
     def ingredients(self) -> Mapping[str, str]:
         """Digests of stored things it is made with: none."""
         return {}
@@ -146,7 +151,7 @@ def dataset_from_log(log: Log, spec: IndustrialSpec, seed: int) -> OfflineDatase
         steps=t,
         transitions=e * t,
         discount=spec.discount,
-        history=HISTORY_LENGTH,
+        history=spec.history,
         frame_features=FRAME_FEATURES,
         action_features=STEERINGS,
         machine=MACHINE,

@@ -108,6 +108,11 @@ class RobotSpec:
         return {"physics": self.physics}
 
     @property
+    def history(self) -> int:
+        """Frames in an observation: one shows the state whole."""
+        return 1
+
+    @property
     def ingredients(self) -> Mapping[str, str]:
         """The digest of the expert that ships with this package.
 
@@ -222,7 +227,7 @@ def _assemble(
         steps=max(lengths),
         transitions=sum(lengths),
         discount=spec.discount,
-        history=1,
+        history=spec.history,
         frame_features=tuple(machine.frame_features),
         action_features=tuple(machine.action_features),
         machine=machine_section(_KINDS[spec.robot]),

@@ -28,6 +28,7 @@ from optuna.distributions import (
 from components.models.supervised import SCHEDULES
 
 __all__ = [
+    "PASTS",
     "SPACES",
     "VERSION",
     "Choice",
@@ -41,6 +42,9 @@ __all__ = [
     "parameters",
     "settings",
 ]
+
+PASTS: Final = ("history", "warm_up")
+"""Fields that say how far back a model looks: no question where one frame shows the whole state."""
 
 VERSION = 1
 """Raise it when the same parameters come to mean other settings."""
