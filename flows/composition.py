@@ -38,10 +38,12 @@ GROUPS = ("dataset", "domain", "algorithm", "model")
 
 
 def names_in(group: str) -> list[str]:
+    """The files of a folder of conf/, by name."""
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
 def hint(word: str, valid: Iterable[str]) -> str:
+    """A further sentence that names the most similar valid word; empty if none is."""
     close = difflib.get_close_matches(word, list(valid), n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
 
@@ -57,7 +59,7 @@ def compose_profile(profile: str) -> tuple[DictConfig, DictConfig]:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             groups = compose("groups", overrides=joined)
             chosen = compose("config", overrides=[f"profile={profile}"])
-            merge(groups, chosen)
+            merge(groups, chosen)  # a profile with an unknown key ends here
             return groups, chosen
     except (HydraException, OmegaConfBaseException) as error:
         raise SettingsError(first_line(error)) from error
@@ -145,6 +147,7 @@ def parse_overrides(overrides: Sequence[str]) -> DictConfig:
 
 
 def first_line(error: Exception) -> str:
+    """What an error says first; others say much more than people want to read."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[0] if lines else type(error).__name__
 

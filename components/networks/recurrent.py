@@ -8,8 +8,9 @@ are ``y = R_m [h'; 1]`` with ``R [M, O, H + 1]`` (thesis 3.38 to 3.40). Three th
 unrolled cell several times cheaper than the same loop under autograd: inputs, hidden state and the
 constant one share one buffer and thus one product per step, forward and backward; nothing is sliced
 inside the recorded graph (a slice of a ``[T, ...]`` tensor costs a gradient of that size per step);
-and tanh is computed as ``2 sigmoid(2x) - 1``, for which PyTorch has the faster CPU kernel (largest
-absolute difference to ``torch.tanh``: below two units in the last place of 1).
+and tanh is computed as ``2 sigmoid(2x) - 1``, whose kernel is the faster one on some processors (an
+AMD EPYC; not on an AVX-512 Xeon) and whose numbers are kept the same everywhere (largest absolute
+difference to ``torch.tanh``: below two units in the last place of 1).
 
 A cell may also read what it has read out: its last D' inputs are then a loop, values ``o`` that it
 carries on itself, ``o' = reads * (y + adds * o)``, where y are its first D' readings. With ``adds``
