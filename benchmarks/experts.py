@@ -21,10 +21,10 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.measure import machine, markdown, median_seconds
-from components.data.experts.online import ExpertConfig, OnlineDDPG
-from components.data.experts.replay import Replay
-from components.data.experts.training import without_denormals
 from components.data.robots import ROBOTS, make_robots
+from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.replay import Replay
+from components.experts.training import without_denormals
 from components.networks import lane_key
 from flows.memory import keep_freed_memory
 

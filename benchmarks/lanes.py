@@ -21,9 +21,9 @@ from components.algorithms.base import Ingredients
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Learner
 from flows.memory import keep_freed_memory

@@ -16,12 +16,12 @@ import numpy as np
 import torch
 
 from benchmarks.measure import machine, markdown, median_seconds
-from components.data.normaliser import Normaliser
 from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.batch import make_batch
 from components.environments.robot_specs import simulator_version
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
 from components.networks import StackedMLP, lane_generator
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 
 __all__ = ["evaluated", "plain_returns", "report", "untrained_policy"]

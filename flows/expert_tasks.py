@@ -11,14 +11,14 @@ from typing import Any
 
 import torch
 
-from components.data.experts.judging import judge
-from components.data.experts.online import ExpertConfig
 from components.data.experts.shipped import Expert, ExpertCard, act_in_double
-from components.data.experts.training import train_experts
 from components.data.returns import RETURN_STEPS
 from components.data.robots import ROBOTS, make_robots
 from components.environments.robot_specs import simulator_version
 from components.environments.robots import Robots
+from components.experts.judging import judge
+from components.experts.online import ExpertConfig
+from components.experts.training import train_experts
 from components.networks.policy import Policy
 from components.networks.streams import lane_generator, lane_key
 from flows.fitting import config_object, read_input, write_curves, write_numbers

@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from components.data.experts.online import ExpertConfig
+from components.experts.online import ExpertConfig
 
 __all__ = [
     "AggregationSettings",

@@ -17,10 +17,10 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
 from components.data.catalogue import spec_kind
-from components.data.experts.online import ExpertConfig
 from components.data.industrial import IndustrialSpec
 from components.data.robots import ROBOTS, RobotSpec
 from components.evaluation.real import EvaluationConfig
+from components.experts.online import ExpertConfig
 from components.models import MODELS
 from flows.checking import SettingsError, build_config, check_group, sentence
 from flows.composition import (

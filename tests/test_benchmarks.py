@@ -29,10 +29,10 @@ from components.algorithms import ALGORITHMS
 from components.algorithms import wsbc as wsbc_learner
 from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
-from components.data.experts.online import ExpertConfig
 from components.data.lanes import LaneData
 from components.environments import HOPPER_ID
 from components.evaluation.real import EvaluationConfig
+from components.experts.online import ExpertConfig
 from components.models.recurrent_ensemble import RecurrentEnsembleConfig
 from components.models.rollout import MachineRule
 from components.networks import LaneStreams

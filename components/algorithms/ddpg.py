@@ -14,7 +14,7 @@ References disagree on sizes; taken are OurDDPG's since 2021 (two layers of 256,
 that were never logged, so they grow without bound and the actor leaves the data for the bounds of
 the action box. That is the method's result here: neither values nor gradients are clipped. The same
 update, :class:`ActorCritic`, trains online the experts that log the robot datasets
-(:mod:`components.data.experts`); no learner sees that.
+(:mod:`components.experts`); no learner sees that.
 
 Deviations: frames are standardised (the raw frames of the Industrial Benchmark are far from unit
 scale). The end of a logged trajectory is a time-out and is bootstrapped through. gamma and the

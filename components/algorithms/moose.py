@@ -32,7 +32,6 @@ import torch
 from torch import Tensor
 
 from components.algorithms.base import Ingredients, StackedLearner, gather_gradients, saturation
-from components.data.normaliser import Normaliser
 from components.models.action_vae import ActionReconstruction, ActionVAE
 from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
 from components.models.rollout import VirtualMachine, discounted_sum
@@ -44,6 +43,7 @@ from components.networks import (
     normal_draw,
     spawn_generators,
 )
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import adam
 

@@ -26,9 +26,9 @@ from torch import Tensor, nn
 
 from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
 from components.data.dataset import OfflineDataset
-from components.data.normaliser import Normaliser
 from components.data.returns import window_returns
 from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import adam
 

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from components.data.assembly import assemble
 from components.data.collection import Log, collect
 from components.data.controllers import CONTROLLERS
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
-from components.data.returns import RETURN_STEPS, log_returns
+from components.data.dataset import OfflineDataset
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.frame_history import HISTORY_LENGTH
 from components.environments.industrial_benchmark import FRAME_FEATURES, MACHINE, STEERINGS
@@ -132,42 +132,17 @@ def dataset_from_log(log: Log, spec: IndustrialSpec, seed: int) -> OfflineDatase
         "truncated": truncated.reshape(e * t),
         "episode_starts": np.arange(e + 1, dtype=np.int64) * t,
     }
-    return_steps = min(RETURN_STEPS, t)
-    returns = log_returns(
-        arrays["rewards"],
-        arrays["terminated"],
-        arrays["episode_starts"],
-        spec.discount,
-        return_steps,
-    )
-    card = DatasetCard(
+    return assemble(
+        arrays,
+        discount=spec.discount,
         name=spec.name,
         environment=spec.environment,
         environment_parameters=spec.environment_parameters,
         controller=spec.controller,
         epsilon=spec.epsilon,
         seed=seed,
-        trajectories=e,
-        steps=t,
-        transitions=e * t,
-        discount=spec.discount,
         history=spec.history,
         frame_features=FRAME_FEATURES,
         action_features=STEERINGS,
         machine=MACHINE,
-        return_steps=return_steps,
-        first_window_return_mean=float(returns.first.mean()),
-        first_window_return_min=float(returns.first.min()),
-        first_window_return_max=float(returns.first.max()),
-        all_windows_return_mean=float(returns.every.mean()),
-        digest=array_digest(arrays),
-    )
-    return OfflineDataset(
-        card=card,
-        frames=arrays["frames"],
-        actions=arrays["actions"],
-        rewards=arrays["rewards"],
-        terminated=arrays["terminated"],
-        truncated=arrays["truncated"],
-        episode_starts=arrays["episode_starts"],
     )

@@ -16,7 +16,7 @@ from torch import Tensor
 from components.data.dataset import OfflineDataset
 from components.data.history import newest_first
 from components.data.machine import MachineRule, machine_frames
-from components.data.normaliser import Normaliser
+from components.networks.normaliser import Normaliser
 
 __all__ = ["Batch", "LaneData"]
 

@@ -17,9 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.assembly import assemble
+from components.data.dataset import OfflineDataset
 from components.data.experts.shipped import SHIPPED, Expert
-from components.data.returns import RETURN_STEPS, log_returns
 from components.data.robot_collection import Episode, Exploration, collect_episodes
 from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.robot_specs import (
@@ -209,12 +209,9 @@ def _assemble(
         "truncated": truncated,
         "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
     }
-    # Falls are absorbing, so their windows are always whole.
-    return_steps = RETURN_STEPS if terminated.any() else min(RETURN_STEPS, max(lengths))
-    returns = log_returns(
-        arrays["rewards"], terminated, arrays["episode_starts"], spec.discount, return_steps
-    )
-    card = DatasetCard(
+    return assemble(
+        arrays,
+        discount=spec.discount,
         name=spec.name,
         environment=spec.environment,
         environment_parameters=spec.environment_parameters,
@@ -223,20 +220,9 @@ def _assemble(
         epsilon=spec.epsilon,
         noise=spec.noise,
         seed=seed,
-        trajectories=len(episodes),
-        steps=max(lengths),
-        transitions=sum(lengths),
-        discount=spec.discount,
         history=spec.history,
         frame_features=tuple(machine.frame_features),
         action_features=tuple(machine.action_features),
         machine=machine_section(_KINDS[spec.robot]),
         simulator=simulator_version(),
-        return_steps=return_steps,
-        first_window_return_mean=float(returns.first.mean()),
-        first_window_return_min=float(returns.first.min()),
-        first_window_return_max=float(returns.first.max()),
-        all_windows_return_mean=float(returns.every.mean()),
-        digest=array_digest(arrays),
     )
-    return OfflineDataset(card=card, **arrays)

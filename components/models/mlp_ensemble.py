@@ -22,10 +22,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import silu, softplus
 
-from components.data.normaliser import Normaliser
 from components.models.rescaling import read_in_scaling
 from components.models.rollout import Prediction
 from components.networks.checkpoint import load_tensors, save_tensors
+from components.networks.normaliser import Normaliser
 from components.networks.stacked import Activation
 
 __all__ = ["ACTIVATIONS", "MLPEnsemble", "MLPTransition", "bounded_log_variance"]

@@ -31,7 +31,6 @@ from components.data.absorption import with_absorption
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.data.machine import MachineRule, machine_frames
-from components.data.normaliser import Normaliser
 from components.data.splits import split_episodes
 from components.models.mlp_config import MLPEnsembleConfig
 from components.models.mlp_ensemble import ACTIVATIONS, MLPEnsemble, bounded_log_variance
@@ -43,6 +42,7 @@ from components.networks import (
     lanewise_mean,
     spawn_generators,
 )
+from components.networks.normaliser import Normaliser
 from components.networks.weight_norm import WeightNormMLP
 
 __all__ = ["fit_mlp_ensemble"]

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
 from components.networks.checkpoint import load_tensors, save_tensors
+from components.networks.normaliser import Normaliser
 from components.networks.recurrent import unroll_cells, unroll_loops
 
 __all__ = ["Feedback", "RecurrentEnsemble", "RecurrentEnsembleConfig", "predict_windows"]

@@ -28,7 +28,6 @@ from components.data.absorption import with_absorption
 from components.data.dataset import OfflineDataset
 from components.data.history import Rows
 from components.data.machine import MachineRule, machine_frames
-from components.data.normaliser import Normaliser
 from components.data.splits import EpisodeSplit, split_episodes
 from components.models.recurrent_ensemble import (
     Feedback,
@@ -44,6 +43,7 @@ from components.networks.checkpoint import (
     prefixed,
     with_prefix,
 )
+from components.networks.normaliser import Normaliser
 from components.networks.training import Curves, TrainingLoop, adam
 
 __all__ = ["fit_recurrent_ensemble"]

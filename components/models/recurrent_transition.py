@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.rollout import Prediction
+from components.networks.normaliser import Normaliser
 from components.networks.recurrent import fast_tanh, unroll_cells
 
 __all__ = ["RecurrentTransition"]

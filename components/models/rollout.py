@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
+from components.networks.normaliser import Normaliser
 
 __all__ = [
     "Prediction",

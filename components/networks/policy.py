@@ -20,9 +20,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from components.data.normaliser import Normaliser
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.deployment import KINDS, Layers
+from components.networks.normaliser import Normaliser
 
 __all__ = ["LAMBDA_SCALING", "Policy", "PolicyCard"]
 

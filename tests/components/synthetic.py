@@ -15,7 +15,6 @@ from torch import Tensor
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.machine import MachineRule, machine_frames
-from components.data.normaliser import Normaliser
 from components.models.action_vae import ActionVAE
 from components.models.mlp_ensemble import MLPEnsemble
 from components.models.recurrent_ensemble import (
@@ -24,6 +23,7 @@ from components.models.recurrent_ensemble import (
     RecurrentEnsembleConfig,
 )
 from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.variational import ConditionalVAE
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from components.data.experts import online, shipped
+from components.data.experts import shipped
 from components.data.experts.shipped import Expert
 from components.data.robots import RobotSpec
+from components.experts import online
 from components.networks.policy import Policy
 from flows import train_experts
 from flows.pipeline.plan import Node, Plan

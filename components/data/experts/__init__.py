@@ -1,12 +1,4 @@
-"""The controllers of the robot datasets: DDPG trained online, its choice, and the shipped results.
+"""The controllers of the robot datasets as they ship, one folder per robot, and their loader.
 
-This is data generation, not offline learning: an expert interacts with the real system, is judged
-on it during training, and the best of several seeds is kept. Nothing of it reaches a learner but
-the data that an expert logs.
-
-- `replay`: transitions of all lanes on the device and, as they happen, in files.
-- `online`: the learner that acts, remembers and updates.
-- `judging`: whole episodes of a policy, rewards after a fall being 0.
-- `training`: budget, checkpoints, evaluation on the way, the best policy of every seed.
-- `shipped`: an expert as a folder of two small files and a card.
+They are made by :mod:`components.experts`.
 """

@@ -12,8 +12,8 @@ from components.algorithms.base import Ingredients
 from components.algorithms.moose import Config, Learner
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPEnsemble
+from components.networks.normaliser import Normaliser
 from components.networks.streams import lane_key
 from tests.components.algorithms.plain import floats, network
 from tests.components.algorithms.stacks import SMALL

@@ -11,8 +11,8 @@ from components.algorithms import mopo
 from components.algorithms.base import Ingredients
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPEnsemble
+from components.networks.normaliser import Normaliser
 from tests.components.algorithms.plain import floats
 from tests.components.algorithms.stacks import config
 from tests.components.synthetic import (

@@ -9,7 +9,7 @@ import torch
 from components.algorithms import model_based
 from components.algorithms.base import Ingredients
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
+from components.networks.normaliser import Normaliser
 from tests.components.algorithms.stacks import SMALL, learner, run
 from tests.components.algorithms.test_lion import STEPS, arrays, history_of
 from tests.components.algorithms.test_wsbc import consuming, virtual_return

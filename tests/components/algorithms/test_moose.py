@@ -9,10 +9,10 @@ import torch
 from components.algorithms import moose
 from components.algorithms.moose import Config, Learner, mixed_return
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
 from components.models.action_vae import ActionVAEConfig, fit_action_vae
 from components.models.mlp_ensemble import MLPTransition
 from components.models.rollout import VirtualMachine
+from components.networks.normaliser import Normaliser
 from components.networks.streams import lane_key
 from tests.components.algorithms.moose_worlds import (
     LOG,

@@ -10,8 +10,8 @@ import torch
 from components.algorithms import wsbc
 from components.algorithms.base import Ingredients
 from components.data.lanes import LaneData
-from components.data.normaliser import Normaliser
 from components.models.recurrent_ensemble import RecurrentEnsemble
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy
 from components.networks.streams import lane_key
 from tests.components.algorithms.stacks import SMALL, learner, run

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from components.data.experts.shipped import Expert, ExpertCard
-from components.data.normaliser import Normaliser
 from components.networks import StackedMLP, spawn_generators
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 
 FEATURES = ("place", "speed", "tilt")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.normaliser import Normaliser
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.batch import make_batch
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
 from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.normaliser import Normaliser
 from components.networks.policy import LAMBDA_SCALING, Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.normaliser import Normaliser
 from components.environments import HOPPER_ID
 from components.evaluation.real import EvaluationConfig, evaluate_policies
 from components.networks import lane_generator
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 

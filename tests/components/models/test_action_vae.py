@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from components.data.dataset import OfflineDataset
-from components.data.normaliser import Normaliser
 from components.models import supervised
 from components.models.action_vae import (
     ActionReconstruction,
@@ -22,6 +21,7 @@ from components.models.action_vae import (
 from components.models.supervised import Fit, StackedFit
 from components.networks import lane_generator, lane_key
 from components.networks.checkpoint import save_tensors
+from components.networks.normaliser import Normaliser
 from tests.components.algorithms.plain import floats, network
 from tests.components.interruption import killed_at, save_always
 from tests.components.synthetic import (

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPEnsemble, MLPTransition, bounded_log_variance
 from components.models.rollout import Propagation, VirtualMachine
 from components.networks.checkpoint import save_tensors
+from components.networks.normaliser import Normaliser
 from tests.components.models.plain import doubles, trajectory
 from tests.components.synthetic import CPU, make_log, random_mlp_ensemble
 

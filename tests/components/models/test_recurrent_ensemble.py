@@ -10,7 +10,6 @@ from torch import Tensor
 
 from components.data.catalogue import DATASETS, generate
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
 from components.models import recurrent_fit
 from components.models.recurrent_ensemble import (
     RecurrentEnsemble,
@@ -23,6 +22,7 @@ from components.models.rollout import VirtualMachine
 from components.models.supervised import Fit
 from components.networks import lane_key
 from components.networks.checkpoint import save_tensors
+from components.networks.normaliser import Normaliser
 from tests.components.interruption import killed_at, save_always
 from tests.components.synthetic import CPU, FATIGUE_ALONE, SCALE, make_log, random_ensemble
 

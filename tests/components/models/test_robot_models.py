@@ -12,7 +12,6 @@ from torch import Tensor
 from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.data.machine import MachineRule, machine_frames
-from components.data.normaliser import Normaliser
 from components.models import recurrent_fit
 from components.models.mlp_config import (
     DeterministicEnsembleConfig,
@@ -38,6 +37,7 @@ from components.models.rollout import (
     discounted_sum,
 )
 from components.networks import lane_key
+from components.networks.normaliser import Normaliser
 from tests.components.models.plain import doubles
 from tests.components.robot import DYNAMICS, LIMIT, TORQUES, make_robot_log, next_state, reward
 from tests.components.synthetic import CPU, make_log, random_ensemble

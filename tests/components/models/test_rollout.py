@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from components.data.machine import MachineRule
-from components.data.normaliser import Normaliser
 from components.models.mlp_ensemble import MLPTransition
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.recurrent_transition import RecurrentTransition
@@ -20,6 +19,7 @@ from components.models.rollout import (
     _first_lowest,
     discounted_sum,
 )
+from components.networks.normaliser import Normaliser
 from tests.components.synthetic import (
     CPU,
     FATIGUE_ALONE,

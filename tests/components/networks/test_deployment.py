@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.data.normaliser import Normaliser
 from components.networks import Critics, StackedMLP, spawn_generators
 from components.networks.deployment import KINDS
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy
 from tests.components.algorithms.plain import critic, floats, network
 from tests.components.synthetic import FEATURES, keys, policy_card

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import nn
 
-from components.data.normaliser import Normaliser
 from components.networks import StackedMLP, lane_generator
 from components.networks.checkpoint import load_tensors, save_tensors
+from components.networks.normaliser import Normaliser
 from components.networks.policy import LAMBDA_SCALING, Policy
 from tests.components.synthetic import (
     FEATURES,

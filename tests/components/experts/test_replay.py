@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.experts.replay import Replay
+from components.experts.replay import Replay
 
 CPU = torch.device("cpu")
 LANES, STEPS = 2, 5

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.experts.judging import episode_rewards, judge
-from components.data.experts.online import OnlineDDPG
-from components.data.experts.training import train_experts, without_denormals
+from components.experts.judging import episode_rewards, judge
+from components.experts.online import OnlineDDPG
+from components.experts.training import train_experts, without_denormals
 from components.networks import lane_generator, lane_key
-from tests.components.data.experts.test_online import TINY, keys
 from tests.components.data.toy_robot import LIMIT, ToyRobot
+from tests.components.experts.test_online import TINY, keys
 from tests.components.interruption import KilledError, dying, killed_at, lanes
 
 CPU = torch.device("cpu")

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from components.data.experts.judging import episode_rewards
-from components.data.experts.online import ExpertConfig, OnlineDDPG
-from components.data.experts.replay import Replay
-from components.data.normaliser import Normaliser
 from components.environments.robots import Robots
+from components.experts.judging import episode_rewards
+from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.replay import Replay
 from components.networks import StackedMLP, lane_generator, lane_key
+from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Curves, TrainingLoop
 

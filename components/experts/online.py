@@ -24,8 +24,8 @@ import torch
 from torch import Tensor
 
 from components.algorithms import ddpg
-from components.data.experts.replay import Replay
 from components.environments.robots import Robots
+from components.experts.replay import Replay
 from components.networks import LaneStreams, StackedMLP, lane_generator, lane_key, normal_draw
 from components.networks.checkpoint import module_state, with_prefix
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from components.data.experts.online import ExpertConfig, OnlineDDPG
-from components.data.experts.replay import Replay
+from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.replay import Replay
 from components.networks import StackedMLP, lane_key
 from tests.components.data.toy_robot import LIMIT, ToyRobot
 

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from components.data.normaliser import Normaliser
+from components.networks.normaliser import Normaliser
 
 
 def test_statistics_and_inverse() -> None:

@@ -1,0 +1,46 @@
+"""From logged arrays to a dataset: what its card says of them is computed in one place."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.returns import RETURN_STEPS, log_returns
+
+__all__ = ["assemble"]
+
+
+def assemble(arrays: Mapping[str, NDArray[Any]], *, discount: float, **told: Any) -> OfflineDataset:
+    """A dataset with its card.
+
+    Args:
+        arrays: Those of :class:`OfflineDataset`, by name.
+        discount: Of the returns on the card.
+        told: The fields of the card that arrays cannot tell.
+
+    Raises:
+        ValueError: No episode has a whole window of returns.
+    """
+    lengths, terminated = np.diff(arrays["episode_starts"]), arrays["terminated"]
+    longest = int(lengths.max())
+    # Falls are absorbing, so their windows are always whole.
+    return_steps = RETURN_STEPS if terminated.any() else min(RETURN_STEPS, longest)
+    returns = log_returns(
+        arrays["rewards"], terminated, arrays["episode_starts"], discount, return_steps
+    )
+    card = DatasetCard(
+        trajectories=len(lengths),
+        steps=longest,
+        transitions=len(terminated),
+        discount=discount,
+        return_steps=return_steps,
+        first_window_return_mean=float(returns.first.mean()),
+        first_window_return_min=float(returns.first.min()),
+        first_window_return_max=float(returns.first.max()),
+        all_windows_return_mean=float(returns.every.mean()),
+        digest=array_digest(arrays),
+        **told,
+    )
+    return OfflineDataset(card=card, **arrays)
