@@ -117,13 +117,13 @@ def test_failing_trials_say_why_and_the_search_goes_on(home: Path, log: Path) ->
     (log / "fail-bad").touch()
     made = study(home, log)
     made.recover()
-    made._study.enqueue_trial({"x": 0.123, "mood": "good"})
+    made._study.enqueue_trial({"x": 0.0, "mood": "good"})
     made._study.enqueue_trial({"x": 0.5, "mood": "bad"})
     notes: list[str] = []
     assert run(home, log, 4, notes=notes).exit_code == 0
     trials = study(home, log).trials()
     assert [t.state.name for t in trials[:3]] == ["COMPLETE", "FAIL", "FAIL"]
-    assert trials[1].user_attrs["error"] == "x must not be 0.123."
+    assert trials[1].user_attrs["error"] == "x must not be 0."
     assert trials[2].user_attrs["error"] == "ValueError: this toy is in a bad mood"
     assert study(home, log).spent == len(trials) == 4
     assert any("failed: ValueError: this toy is in a bad mood" in note for note in notes)
