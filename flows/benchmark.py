@@ -26,7 +26,7 @@ __all__ = [
 
 COMPONENTS = {
     "data_generation": 2,
-    "model_fitting": 4,
+    "model_fitting": 5,
     "policy_training": 2,
     "evaluation": 2,
     "aggregation": 2,

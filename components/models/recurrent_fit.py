@@ -7,6 +7,11 @@ eq. 3.41). Windows never cross trajectories. One that ends in a true terminal st
 see :mod:`components.data.absorption`, so that falling is learned from states and rewards, as the
 thesis has it; a trajectory too short for a single window is left out.
 
+Where a dataset's observations are histories, the first of a trajectory are padded with its first
+frame, and virtual trajectories that start in them begin the ensemble on what was never recorded.
+Training windows therefore also begin up to G steps before a trajectory, in its first frame
+repeated; the held-out windows, on which fits are compared, are recorded throughout.
+
 All networks are lanes of one stack ``[M, ...]``, group by group, each with its own window stream
 and its own best held-out state. Changes are predicted in units of their deviation around their
 mean.
@@ -74,11 +79,13 @@ class _Windows:
         self._unit, self._offset = self._units(changes, config.hidden)
         # A window's first predicted step is a logged one: all but the last step may be absorbed.
         whole = with_absorption(dataset, config.horizon - 1)
+        padding = config.warm_up if dataset.card.history > 1 else 0
         self.train, self.held_out = (
             torch.from_numpy(starts).to(device)
-            for starts in _starts(whole, split, config.warm_up + config.horizon)
+            for starts in _starts(whole, split, config.warm_up + config.horizon, padding)
         )
-        scaled = self.normaliser.apply(torch.from_numpy(np.array(machine_frames(whole, rule))))
+        frames = machine_frames(whole, rule)[_padded(whole, padding)]
+        scaled = self.normaliser.apply(torch.from_numpy(frames))
         self._table = scaled.T.contiguous().to(device)  # [features, rows]
         self._horizon, count = config.horizon, self._table.shape[1]
         steps = torch.arange(config.warm_up + config.horizon, device=device)
@@ -124,24 +131,37 @@ class _Windows:
         return torch.cat([known, own], dim=2), targets.flatten(1, 2)
 
 
-def _starts(whole: OfflineDataset, split: EpisodeSplit, length: int) -> tuple[Rows, Rows]:
-    """Frame rows in which windows of the training and of the held-out trajectories begin.
+def _padded(whole: OfflineDataset, padding: int) -> Rows:
+    """Frame rows, every trajectory's first one ``padding`` times more in front of it."""
+    first = whole.episode_starts[:-1] + np.arange(whole.episodes)
+    again = np.ones(len(whole.frames), np.int64)
+    again[first] += padding
+    rows: Rows = np.repeat(np.arange(len(again)), again)
+    return rows
+
+
+def _starts(
+    whole: OfflineDataset, split: EpisodeSplit, length: int, padding: int
+) -> tuple[Rows, Rows]:
+    """Rows of :func:`_padded` in which windows of the training and held-out trajectories begin.
 
     Raises:
         ValueError: If all trajectories on either side are too short for a window.
     """
-    starts = whole.episode_starts
-    # Frame row of a window's start: transition row plus one extra frame per earlier episode.
-    rows = [np.arange(starts[e] + e, starts[e + 1] + e - length + 1) for e in range(whole.episodes)]
+    # A trajectory's first transition row, plus a frame more and the padding of each before it.
+    first = whole.episode_starts[:-1] + np.arange(whole.episodes) * (1 + padding) + padding
+    count = np.diff(whole.episode_starts) - length + 1  # windows without padding
     found = []
-    for episodes in (split.train, split.held_out):
-        if not any(len(rows[e]) for e in episodes):
+    for episodes, before in ((split.train, padding), (split.held_out, 0)):
+        if not any(count[e] > 0 for e in episodes):
             raise ValueError(
                 f"Trajectory {episodes[0]} of {whole.card.name} is shorter than warm_up + horizon "
                 f"= {length} steps, and so are the others that are to be "
                 f"{'trained on' if episodes is split.train else 'held out'}; shorten these."
             )
-        found.append(np.concatenate([rows[e] for e in episodes]))
+        found.append(
+            np.concatenate([np.arange(first[e] - before, first[e] + count[e]) for e in episodes])
+        )
     train, held_out = found
     return train, held_out
 

@@ -87,7 +87,7 @@ def test_recorded_values_are_read_up_to_the_first_predicted_step() -> None:
 def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> None:
     windows = recurrent_fit._Windows(LOG, TINY, CPU)
     start = torch.tensor([[0], [1], [44], [20]])  # one frame row per network
-    inputs, targets = windows.gather(start)
+    inputs, targets = windows.gather(start + TINY.warm_up * torch.tensor([[1], [1], [2], [1]]))
     assert inputs.shape == (13, 4, 5, 1)
     scaling = windows.normaliser
     scaled = (torch.from_numpy(LOG.frames) - scaling.mean) / scaling.scale
@@ -103,14 +103,33 @@ def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> 
 
 def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
     windows = recurrent_fit._Windows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
-    starts = [41 * e + np.arange(40 - 13 + 1) for e in range(6)]
+    # Five repeated frames before the 41 of a trajectory: only windows of training may begin there.
+    starts = [46 * e + np.arange(5 + 40 - 13 + 1) for e in range(6)]
     assert windows.train.tolist() == np.concatenate(starts[:4]).tolist()
-    assert windows.held_out.tolist() == np.concatenate(starts[4:]).tolist()
+    assert windows.held_out.tolist() == np.concatenate([s[5:] for s in starts[4:]]).tolist()
     seen = LOG.frames[: 4 * 41]
     np.testing.assert_allclose(windows.normaliser.mean, seen.mean(axis=0), rtol=1e-5)
     scaled = windows.normaliser.apply(torch.from_numpy(seen))[:, 4:]
     assert torch.equal(windows.low, scaled.amin(dim=0))
     assert torch.equal(windows.high, scaled.amax(dim=0))
+
+
+def test_windows_may_begin_in_the_repeated_first_frame() -> None:
+    """As the histories of the first states do, from which virtual trajectories start."""
+    windows = recurrent_fit._Windows(LOG, TINY, CPU)
+    inputs, targets = windows.gather(torch.full((4, 1), 46 + 2))  # of the second trajectory
+    scaled = windows.normaliser.apply(torch.from_numpy(LOG.frames))
+    rows = 41 + np.maximum(np.arange(-3, 11), 0)
+    for t in range(13):
+        torch.testing.assert_close(inputs[t, 0, :4, 0], scaled[rows[t + 1], :4])
+        assert float(inputs[t, 0, 4, 0]) == float(scaled[rows[t], 4])
+    torch.testing.assert_close(targets[:, 0, 0], scaled[rows[6:14], 4])
+
+
+def test_where_an_observation_is_one_frame_nothing_is_repeated() -> None:
+    windows = recurrent_fit._Windows(make_log(history=1), TINY, CPU)
+    starts = [41 * e + np.arange(40 - 13 + 1) for e in range(4)]
+    assert windows.train.tolist() == np.concatenate(starts).tolist()
 
 
 def test_learns_the_small_machine() -> None:
@@ -153,6 +172,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
     start = windows.held_out[:7]
     inputs, _ = windows.gather(start.expand(4, -1))
     expected = predict(alone, inputs[:, ::2])
+    start = start - TINY.warm_up * (1 + start // 46)  # frame rows
     rows = start[:, None] + TINY.warm_up - torch.arange(TINY.warm_up + 1)
     history = torch.from_numpy(LOG.frames)[rows][None]
     actions = [LOG.frames[start + TINY.warm_up + t + 1, 1:4] for t in range(TINY.horizon)]
