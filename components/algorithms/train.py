@@ -57,12 +57,14 @@ def train_policies(
         takes_lambda: For the policies' cards.
         preparation: Updates before the budget begins, in which nothing is deployed yet.
         work: Folder that survives a kill; holds the checkpoint and the snapshots so far.
-        progress: Told the finished fraction.
+        progress: Told the finished fraction of the budget; an update of the preparation may cost
+            a hundredth of one of the budget, so that it stays at 0 until then.
         save_every: Seconds between checkpoints.
 
     Returns:
         Per lane a policy stack of S snapshots; the learning curves.
     """
+    everything = preparation + updates
     steps = tuple(preparation + step for step in snapshot_steps(updates, snapshots))
     folders = {step: work / f"snapshot-{step:08d}" for step in (0, *steps)}
     cards = [
@@ -90,12 +92,12 @@ def train_policies(
 
     log_every = max(1, min(100, updates // 100))
     loop = TrainingLoop(
-        preparation + updates,
+        everything,
         members,
         work / "checkpoint.safetensors",
         log_every,
         save_every,
-        progress,
+        lambda fraction: progress(max(0.0, (fraction * everything - preparation) / updates)),
     )
     if not loop.checkpoint_exists:
         keep_snapshot(0, Curves())

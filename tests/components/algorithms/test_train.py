@@ -1,6 +1,6 @@
 """Snapshots and resumption of policy training: interrupted equals uninterrupted, bit for bit."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,11 @@ every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
 
 
 def train(
-    name: str, work: Path, members: Sequence[str] = "abc", death: int | None = None
+    name: str,
+    work: Path,
+    members: Sequence[str] = "abc",
+    death: int | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[list[Policy], Curves]:
     logs = [LOGS[member] for member in members]
     made = learner(name, logs, [SEEDS[member] for member in members])
@@ -37,7 +41,7 @@ def train(
         takes_lambda=ALGORITHMS[name].TAKES_LAMBDA,
         preparation=preparation(name),
         work=work,
-        progress=lambda fraction: None,
+        progress=progress,
         save_every=0.0,
     )
 
@@ -81,6 +85,16 @@ def test_interrupted_equals_uninterrupted(name: str, deaths: list[int], tmp_path
     found, again = train(name, tmp_path / "work")
     assert_same(found, expected)
     assert lanes(again, 3) == lanes(curves, 3)
+
+
+@pytest.mark.parametrize("name", ["brac", "td3_bc"])
+def test_progress_is_that_of_the_budget(name: str, tmp_path: Path) -> None:
+    told: list[float] = []
+    train(name, tmp_path, progress=told.append)
+    before, counted = told[: preparation(name)], told[preparation(name) : -1]
+    assert before == [0.0] * len(before)
+    assert counted == pytest.approx([(step + 1) / UPDATES for step in range(UPDATES)])
+    assert told[-1] == 1.0
 
 
 @every_algorithm
