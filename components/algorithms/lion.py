@@ -32,7 +32,7 @@ from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
-VERSION = 2
+VERSION = 3
 NEEDS = ("behaviour_policy", "recurrent_ensemble")
 TAKES_LAMBDA = True
 FRAME_EPSILON = 0.0

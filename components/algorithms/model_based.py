@@ -24,7 +24,7 @@ from components.networks.training import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
-VERSION = 1
+VERSION = 2
 NEEDS = ("recurrent_ensemble",)
 TAKES_LAMBDA = False
 FRAME_EPSILON = 0.0

@@ -18,8 +18,7 @@ with the constants of thesis 2.6. The text leaves open and this module decides:
   evaluates them where they begin;
 - no velocity exceeds half the width of the box;
 - start states are drawn once per lane, as LION's from the first 30 steps of trajectories, near
-  which policies are judged; the whole log (``start_window=1000``) holds few such states, and two of
-  five swarms trained on it left the log on mediocre-0.2 when they began there;
+  which policies are judged (algorithm 2 says from the log; ``start_window`` and ``start_after``);
 - the box is on the weights as the clone's artifact stores them: policies see frames in the clone's
   own scaling and are deployed with it.
 """
@@ -43,7 +42,7 @@ from components.networks.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
-VERSION = 1
+VERSION = 2
 NEEDS = ("behaviour_policy", "recurrent_ensemble")
 TAKES_LAMBDA = False
 FRAME_EPSILON = 0.0  # of the data's frames; the policies see them as the clone does

@@ -51,7 +51,7 @@ class RecurrentEnsembleConfig:
     updates: int = 3000  # budget; training may stop earlier
     learning_rate: float = 5e-3  # peak of the one-cycle schedule
     warm_fraction: float = 0.1  # part of the budget over which the rate rises
-    weight_decay: float = 1e-3  # L2 term inside Adam
+    weight_decay: float = 0.0  # L2 term inside Adam
     clip_norm: float = 1.0  # largest gradient norm per network
     holdout: float = 0.1  # last fraction of the trajectories, never trained on
     validate_every: int = 150  # updates

@@ -1,4 +1,8 @@
-"""Recurrent ensembles of L lanes as a transition model, all networks in one stack."""
+"""Recurrent ensembles of L lanes as a transition model, all networks in one stack.
+
+Hidden states are kept as :func:`components.networks.recurrent.logistic_cells` has them: beside the
+matrix products, tanh was most of what a step cost.
+"""
 
 from collections.abc import Sequence
 
@@ -8,7 +12,7 @@ from torch import Tensor
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.models.rollout import Prediction
 from components.networks.normaliser import Normaliser
-from components.networks.recurrent import fast_tanh, unroll_cells
+from components.networks.recurrent import logistic_cells, unroll_cells
 
 __all__ = ["RecurrentTransition"]
 
@@ -37,6 +41,7 @@ class RecurrentTransition:
         self._looped = reads.shape[1]
         of_networks = reads.repeat_interleave(self.members, dim=0).repeat(len(ensembles), 1)
         self._weight[:, :, -1 - self._looped : -1] *= of_networks[:, None]
+        self._logistic, self._emit = logistic_cells(self._weight, self._readout)
         every = torch.zeros(self._shape[0], self._shape[2], device=device)
         every[:, : self._looped] = adds
         self._adds = every.view(1, -1, 1, 1) if first.feedback.sums else None
@@ -53,7 +58,7 @@ class RecurrentTransition:
 
     @torch.no_grad()
     def begin(self, recorded: Tensor) -> Tensor:
-        """Hidden states ``[L * M, H, B]`` after the recorded frames ``[L, S, B, T, F]``."""
+        """Logistic states ``[L * M, H, B]`` after the recorded frames ``[L, S, B, T, F]``."""
         lanes, _, batch, length, features = recorded.shape
         known = features - self.low.shape[1]
         mean, scale = (s[:, None, None, None] for s in (self.frames.mean, self.frames.scale))
@@ -70,12 +75,12 @@ class RecurrentTransition:
         )
         start = recorded.new_zeros(self._weight.shape[0], self._weight.shape[1], batch)
         _, hidden = unroll_cells(self._weight, self._readout, start, inputs.flatten(1, 3))
-        return hidden
+        return (hidden + 1.0) / 2.0
 
     def predict(
         self, state: Tensor, observation: Tensor, known: Tensor, own: Tensor
     ) -> tuple[Prediction, Tensor]:
-        """One step of all members; ``state`` is the hidden state, or see :meth:`_in_place`."""
+        """One step of all members; ``state`` is the logistic one, or see :meth:`_in_place`."""
         if not torch.is_grad_enabled():
             return self._in_place(state, known, own)
         lanes, _, batch, features = known.shape
@@ -89,16 +94,16 @@ class RecurrentTransition:
             ],
             dim=3,
         ).flatten(0, 2)
-        return self._read(fast_tanh(torch.bmm(self._weight, seen)), own)
+        return self._read(torch.bmm(self._logistic, seen).sigmoid(), own)
 
     def _in_place(self, state: Tensor, known: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
         """The same without gradients; from the first step on, all that is read has one buffer.
 
-        The state is that buffer ``[L * M, H + known + D' + 1, B]``: hidden state, known features,
+        The state is that buffer ``[L * M, H + known + D' + 1, B]``: logistic state, known features,
         own values and the constant one, each step's over those of the step before.
         """
         lanes, _, batch, features = known.shape
-        cells, width, columns = self._weight.shape
+        cells, width, columns = self._logistic.shape
         if state.shape[1] == width:
             buffer = state.new_ones(cells, columns, batch)
             buffer[:, :width] = state
@@ -107,15 +112,15 @@ class RecurrentTransition:
         given = buffer[:, width:-1].view(lanes, *self._shape[:2], -1, batch)
         given[..., :features, :] = known.transpose(2, 3)[:, None]
         given[..., features:, :] = self._own(own)
-        hidden = buffer[:, :width]
-        torch.tanh(torch.bmm(self._weight, buffer), out=hidden)
-        return self._read(hidden, own)[0], buffer
+        logistic = buffer[:, :width]
+        torch.sigmoid(torch.bmm(self._logistic, buffer), out=logistic)
+        return self._read(logistic, own)[0], buffer
 
-    def _read(self, hidden: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
-        """All members' predictions from hidden states ``[L * M, H, B]``, which are returned too."""
-        read = torch.baddbmm(self._readout[:, :, -1:], self._readout[:, :, :-1], hidden)
+    def _read(self, logistic: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
+        """All members' predictions from states ``[L * M, H, B]``, which are returned too."""
+        read = torch.baddbmm(self._emit[:, :, -1:], self._emit[:, :, :-1], logistic)
         by_member = read.view(len(own), *self._shape, -1).transpose(2, 3)
         values = by_member.reshape(len(own), -1, self.members, read.shape[-1])  # [L, D, K, B]
         if self._adds is not None:
             values = values + self._adds * own
-        return Prediction(values), hidden
+        return Prediction(values), logistic

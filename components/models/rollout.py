@@ -244,7 +244,8 @@ class VirtualMachine:
             chosen = propagation[step][:, None]
         elif propagation == "minimum":
             clipped = values.detach().clamp(self._low, self._high)
-            chosen = _first_lowest(self._rewards(clipped))
+            # The first of equal ones; on a CPU many times as fast as argmin.
+            chosen = self._rewards(clipped).min(dim=1, keepdim=True).indices
         if chosen is not None:
             values = _pick(values, chosen)
         if noise is not None and prediction.spread is not None:
@@ -267,14 +268,6 @@ def _wide(per_target: Tensor) -> Tensor:
 def _pick(values: Tensor, member: Tensor) -> Tensor:
     """Of ``values [L, D, K, B]`` those of ``member [L, 1, B]``: ``[L, D, 1, B]``."""
     return values.gather(2, member[:, None].expand(-1, values.shape[1], -1, -1))
-
-
-def _first_lowest(rewards: Tensor) -> Tensor:
-    """The first lowest member of ``[L, K, B]``: ``[L, 1, B]``. Several times as fast as argmin."""
-    members = rewards.shape[1]
-    numbers = torch.arange(members, device=rewards.device)[:, None]
-    lowest = rewards == rewards.amin(dim=1, keepdim=True)
-    return torch.where(lowest, numbers, members - 1).amin(dim=1, keepdim=True)
 
 
 def _with_room(observation: Tensor, before: int) -> Tensor:

@@ -22,12 +22,31 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = ["fast_tanh", "unroll_cells", "unroll_loops"]
+__all__ = ["logistic_cells", "unroll_cells", "unroll_loops"]
 
 
-def fast_tanh(x: Tensor) -> Tensor:
-    """Hyperbolic tangent by way of the sigmoid; differentiable."""
-    return 2.0 * torch.sigmoid(2.0 * x) - 1.0
+def logistic_cells(weight: Tensor, readout: Tensor) -> tuple[Tensor, Tensor]:
+    """The same cells with the hidden state ``s = (h + 1) / 2``.
+
+    A step then is ``s' = sigmoid(V [s; x; 1])`` and nothing else is computed per element, and its
+    readings are ``S [s'; 1]``.
+
+    Args:
+        weight: ``[M, H, H + D + 1]``.
+        readout: ``[M, O, H + 1]``.
+
+    Returns:
+        V and S, shaped like them.
+    """
+    width = weight.shape[1]
+    recurrent, inputs, bias = weight.split([width, weight.shape[2] - width - 1, 1], dim=2)
+    bias = bias - recurrent.sum(dim=2, keepdim=True)
+    emit, offset = readout.split([width, 1], dim=2)
+    offset = offset - emit.sum(dim=2, keepdim=True)
+    return (
+        torch.cat([4.0 * recurrent, 2.0 * inputs, 2.0 * bias], dim=2),
+        torch.cat([2.0 * emit, offset], dim=2),
+    )
 
 
 class _Unroll(torch.autograd.Function):

@@ -111,13 +111,15 @@ def test_fitness_by_plain_loops() -> None:
         assert torch.equal(policy.frames.scale[lane], behaviour[lane].frames.scale[0])
 
 
-def test_start_states_are_early_ones_and_stay_the_same() -> None:
-    made = learner("wsbc", [LOG], [0], starts=300, start_window=4, particles=3, box=0.0)
+def test_start_states_are_those_asked_for_and_stay_the_same() -> None:
+    made = learner(
+        "wsbc", [LOG], [0], starts=300, start_window=6, start_after=2, particles=3, box=0.0
+    )
     early = np.stack(
         [
             [LOG.frames[e * (STEPS + 1) + max(t - lag, 0)] for lag in range(3)]
             for e in range(6)
-            for t in range(4)
+            for t in range(2, 6)
         ]
     )
     found = made._history[0].numpy()

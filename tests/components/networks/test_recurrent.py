@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.networks.recurrent import fast_tanh, unroll_cells, unroll_loops
+from components.networks.recurrent import logistic_cells, unroll_cells, unroll_loops
 
 Operands = tuple[Tensor, Tensor, Tensor, Tensor]
 
@@ -115,7 +115,14 @@ def test_single_precision_stays_close_to_double() -> None:
     torch.testing.assert_close(single.double(), double, rtol=1e-4, atol=1e-5)  # six float32 steps
 
 
-def test_fast_tanh() -> None:
-    x = torch.linspace(-20.0, 20.0, 4001)
-    # two units in the last place of 1
-    torch.testing.assert_close(fast_tanh(x), torch.tanh(x), rtol=0.0, atol=2.4e-7)
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_logistic_cells_read_out_the_same(outputs: int) -> None:
+    weight, readout, hidden, inputs = operands(outputs=outputs)
+    expected, last = by_loop(weight, readout, hidden, inputs)
+    step, emit = logistic_cells(weight, readout)
+    state, ones = (hidden + 1.0) / 2.0, torch.ones_like(hidden[:, :1])
+    for x, readings in zip(inputs, expected, strict=True):
+        state = torch.sigmoid(step @ torch.cat([state, x, ones], dim=1))
+        found = emit @ torch.cat([state, ones], dim=1)
+        torch.testing.assert_close(found.flatten(0, 1), readings)
+    torch.testing.assert_close(2.0 * state - 1.0, last)
