@@ -18,6 +18,7 @@ from components.models.recurrent_ensemble import (
 )
 from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.models.recurrent_transition import RecurrentTransition
+from components.models.recurrent_windows import TrainingWindows
 from components.models.rollout import VirtualMachine
 from components.models.supervised import Fit
 from components.networks import lane_key
@@ -85,7 +86,7 @@ def test_recorded_values_are_read_up_to_the_first_predicted_step() -> None:
 
 
 def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> None:
-    windows = recurrent_fit._Windows(LOG, TINY, CPU)
+    windows = TrainingWindows(LOG, TINY, CPU)
     start = torch.tensor([[0], [1], [44], [20]])  # one frame row per network
     inputs, targets = windows.gather(start + TINY.warm_up * torch.tensor([[1], [1], [2], [1]]))
     assert inputs.shape == (13, 4, 5, 1)
@@ -102,7 +103,7 @@ def test_windows_pair_the_steerings_after_the_action_with_the_value_before() -> 
 
 
 def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
-    windows = recurrent_fit._Windows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
+    windows = TrainingWindows(LOG, TINY, CPU)  # 6 trajectories, 2 of them held out
     # Five repeated frames before the 41 of a trajectory: only windows of training may begin there.
     starts = [46 * e + np.arange(5 + 40 - 13 + 1) for e in range(6)]
     assert windows.train.tolist() == np.concatenate(starts[:4]).tolist()
@@ -116,7 +117,7 @@ def test_windows_stay_inside_their_trajectory_and_their_split() -> None:
 
 def test_windows_may_begin_in_the_repeated_first_frame() -> None:
     """As the histories of the first states do, from which virtual trajectories start."""
-    windows = recurrent_fit._Windows(LOG, TINY, CPU)
+    windows = TrainingWindows(LOG, TINY, CPU)
     inputs, targets = windows.gather(torch.full((4, 1), 46 + 2))  # of the second trajectory
     scaled = windows.normaliser.apply(torch.from_numpy(LOG.frames))
     rows = 41 + np.maximum(np.arange(-3, 11), 0)
@@ -127,7 +128,7 @@ def test_windows_may_begin_in_the_repeated_first_frame() -> None:
 
 
 def test_where_an_observation_is_one_frame_nothing_is_repeated() -> None:
-    windows = recurrent_fit._Windows(make_log(history=1), TINY, CPU)
+    windows = TrainingWindows(make_log(history=1), TINY, CPU)
     starts = [41 * e + np.arange(40 - 13 + 1) for e in range(4)]
     assert windows.train.tolist() == np.concatenate(starts).tolist()
 
@@ -168,7 +169,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         ensemble.feedback,
         ensemble.warm_up,
     )
-    windows = recurrent_fit._Windows(LOG, TINY, CPU)
+    windows = TrainingWindows(LOG, TINY, CPU)
     start = windows.held_out[:7]
     inputs, _ = windows.gather(start.expand(4, -1))
     expected = predict(alone, inputs[:, ::2])
@@ -197,7 +198,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
 def test_reported_loss_belongs_to_the_best_state() -> None:
     fit = fit_recurrent_ensemble(LOG, TINY, lane_key("best"), CPU)
     ensemble, metrics = fit.model, fit.metrics
-    windows = recurrent_fit._Windows(LOG, TINY, CPU)
+    windows = TrainingWindows(LOG, TINY, CPU)
     inputs, targets = windows.gather(windows.held_out.expand(4, -1))
     predicted = by_loop(ensemble.weight, ensemble.readout, inputs, TINY.warm_up)
     losses = (predicted - targets).square().mean(dim=(0, 2)).tolist()

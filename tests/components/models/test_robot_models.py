@@ -11,7 +11,6 @@ from torch import Tensor
 
 from components.data.dataset import OfflineDataset
 from components.data.machine import MachineRule, machine_frames
-from components.models import recurrent_fit
 from components.models.recurrent_ensemble import (
     Feedback,
     RecurrentEnsemble,
@@ -20,6 +19,7 @@ from components.models.recurrent_ensemble import (
 )
 from components.models.recurrent_fit import fit_recurrent_ensemble
 from components.models.recurrent_transition import RecurrentTransition
+from components.models.recurrent_windows import TrainingWindows
 from components.models.rollout import (
     VirtualMachine,
 )
@@ -47,7 +47,7 @@ def absorbed(log: OfflineDataset, episode: int, count: int) -> np.ndarray:
 
 
 def test_windows_with_absorption_by_hand() -> None:
-    windows = recurrent_fit._Windows(LOG, JOINT, CPU)
+    windows = TrainingWindows(LOG, JOINT, CPU)
     scaling = windows.normaliser
     split = 24 - 5  # of 24 episodes a fifth, rounded up, is held out
     expected = []
@@ -77,7 +77,7 @@ def test_windows_with_absorption_by_hand() -> None:
 
 
 def test_statistics_are_those_of_the_logged_training_frames() -> None:
-    windows = recurrent_fit._Windows(LOG, JOINT, CPU)
+    windows = TrainingWindows(LOG, JOINT, CPU)
     seen = machine_frames(LOG, RULE)[: int(LOG.episode_starts[19]) + 19]
     np.testing.assert_allclose(windows.normaliser.mean, seen.mean(axis=0), atol=1e-6)
     scaled = windows.normaliser.apply(torch.from_numpy(seen))[:, 2:]
@@ -87,13 +87,13 @@ def test_statistics_are_those_of_the_logged_training_frames() -> None:
 
 def test_episodes_too_short_for_a_window_are_left_out() -> None:
     config = dataclasses.replace(JOINT, warm_up=9, horizon=16)  # of 25 steps
-    windows = recurrent_fit._Windows(LOG, config, CPU)
+    windows = TrainingWindows(LOG, config, CPU)
     lengths = np.diff(LOG.episode_starts)[:19]
     falls = LOG.terminated[LOG.episode_starts[1:20] - 1]
     assert lengths.min() < 10, "some episodes must be shorter than G + 1 steps"
     assert len(windows.train) == np.maximum(0, lengths[falls] - 9).sum() + (~falls).sum()
     with pytest.raises(ValueError, match="to be trained on; shorten these"):
-        recurrent_fit._Windows(LOG, dataclasses.replace(JOINT, warm_up=40), CPU)
+        TrainingWindows(LOG, dataclasses.replace(JOINT, warm_up=40), CPU)
 
 
 def changes_by_loop(ensemble: RecurrentEnsemble, windows: Tensor, warm_up: int) -> Tensor:
@@ -161,7 +161,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         low=ensemble.low - 99.0,
         high=ensemble.high + 99.0,
     )
-    windows = recurrent_fit._Windows(LOG, JOINT, CPU)
+    windows = TrainingWindows(LOG, JOINT, CPU)
     start = windows.train[:7]  # of the first episode, which is long
     inputs, _ = windows.gather(start.expand(2, -1))
     expected = predict_windows(alone.weight, alone.readout, inputs[:, :1], 3, alone.feedback)
