@@ -51,16 +51,16 @@ def model_cost(name: str, model: Any) -> float:
 def policy_cost(algorithm: str, config: Any) -> float:
     """Core-seconds of a training run of one seed."""
     if algorithm == "lion":
-        return 1.1e-5 * float(config.updates * config.trajectories * config.horizon)
+        return 1.4e-5 * float(config.updates * config.trajectories * config.horizon)
     if algorithm == "model_based":
         return 9e-6 * float(config.updates * config.trajectories * config.horizon)
     if algorithm == "moose":
         return 2.7e-4 * float(config.updates * config.trajectories * config.horizon)
     if algorithm == "wsbc":
-        return 7e-7 * float(config.updates * config.particles * config.starts * config.horizon)
+        return 9e-7 * float(config.updates * config.particles * config.starts * config.horizon)
     if algorithm == "morel":
         steps = config.updates * config.trajectories * config.horizon
-        return 1.7e-4 * float(steps) + 2.2e-3 * float(config.cloning)
+        return 2.3e-4 * float(steps) + 2.2e-3 * float(config.cloning)
     if algorithm == "mopo":
         updates = _ROW_COST["mopo"] * float(config.updates * config.batch)
         rounds = -(-config.updates // config.rollout_every)
