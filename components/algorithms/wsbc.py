@@ -17,7 +17,7 @@ with the constants of thesis 2.6. The text leaves open and this module decides:
 - particle 0 begins as the clone itself, the others uniformly in its box; the first iteration
   evaluates them where they begin;
 - no velocity exceeds half the width of the box; by the returns of five seeds on three datasets
-  (README), this swarm comes as far in 10 to 20 iterations as the thesis's in its 100;
+  (README), this swarm seems to come as far in 10 to 20 iterations as the thesis's in its 100;
 - start states are drawn once per lane, as LION's from the first 30 steps of trajectories, near
   which policies are judged (algorithm 2 says from the log; ``start_window`` and ``start_after``);
 - the box is on the weights as the clone's artifact stores them: policies see frames in the clone's
