@@ -14,9 +14,9 @@ Industrial Benchmark it names a delta target; the published checkpoints agree wi
 here): Adam with a one-cycle learning rate instead of a plateau schedule, which reaches the same
 error in a fraction of the updates; smaller batches; gradients limited in norm, network by network;
 and no weight decay. The checkpoints had 1e-3. Here it left the held-out error where it was and made
-the members agree where the log says nothing: steered to velocity and gain 100, far outside
-mediocre-0.2, where a step costs 27, the worst of four members promised -1.4 with it and -1.9
-without. The more they differ there, the less the lowest reward of all invites a policy.
+the members agree where the log says nothing: with all steerings at 100, far outside mediocre-0.2,
+where a step costs 27, the worst of four members promised -1.4 with it and -1.9 without. The more
+they differ there, the less the lowest reward of all invites a policy.
 """
 
 import math

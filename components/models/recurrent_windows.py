@@ -26,7 +26,29 @@ __all__ = ["TrainingWindows"]
 
 
 class TrainingWindows:
-    """Windows of normalised machine frames, gathered on the device for every network."""
+    """Windows of normalised machine frames, gathered on the device for every network.
+
+    Args:
+        dataset: Its card must tell what is known and what is to be learned of its machine.
+        config: Members, groups, lengths of a window and share held out.
+        device: Where windows are gathered.
+
+    Attributes:
+        names: Learned features, D of them.
+        known: Known features of a machine frame, so many.
+        groups: Names of the groups; a group's networks predict the same features.
+        networks: M, networks of all groups.
+        outputs: O, features that a network predicts.
+        feedback: Which predictions of a group are read back, and which are changes.
+        normaliser: Scaling of machine frames, of the training trajectories.
+        low: Smallest normalised targets of the training trajectories, ``[D]``.
+        high: Largest.
+        train: Rows in which windows of the training trajectories begin.
+        held_out: Likewise, of the held-out ones.
+
+    Raises:
+        ValueError: If all trajectories on either side of the split are too short for a window.
+    """
 
     def __init__(
         self, dataset: OfflineDataset, config: RecurrentEnsembleConfig, device: torch.device

@@ -111,15 +111,15 @@ def test_fitness_by_plain_loops() -> None:
         assert torch.equal(policy.frames.scale[lane], behaviour[lane].frames.scale[0])
 
 
-def test_start_states_are_those_asked_for_and_stay_the_same() -> None:
-    made = learner(
-        "wsbc", [LOG], [0], starts=300, start_window=6, start_after=2, particles=3, box=0.0
-    )
+@pytest.mark.parametrize("after", [0, 2])
+def test_start_states_are_those_asked_for_and_stay_the_same(after: int) -> None:
+    window = {"start_after": after, "start_window": after + 4}
+    made = learner("wsbc", [LOG], [0], starts=300, particles=3, box=0.0, **window)
     early = np.stack(
         [
             [LOG.frames[e * (STEPS + 1) + max(t - lag, 0)] for lag in range(3)]
             for e in range(6)
-            for t in range(2, 6)
+            for t in range(after, after + 4)
         ]
     )
     found = made._history[0].numpy()

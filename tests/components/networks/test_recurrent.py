@@ -126,3 +126,12 @@ def test_logistic_cells_read_out_the_same(outputs: int) -> None:
         found = emit @ torch.cat([state, ones], dim=1)
         torch.testing.assert_close(found.flatten(0, 1), readings)
     torch.testing.assert_close(2.0 * state - 1.0, last)
+
+
+def test_the_activation_is_tanh() -> None:
+    x = torch.linspace(-20.0, 20.0, 4001)
+    weight, readout = torch.tensor([[[0.0, 1.0, 0.0]]]), torch.tensor([[[1.0, 0.0]]])
+    readings, last = unroll_cells(weight, readout, torch.zeros(1, 1, 4001), x.view(1, 1, 1, -1))
+    # two units in the last place of 1
+    for found in (readings.flatten(), last.flatten()):
+        torch.testing.assert_close(found, torch.tanh(x), rtol=0.0, atol=2.4e-7)
