@@ -11,7 +11,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
@@ -137,19 +137,21 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
             model_words.setdefault(word.split(".")[1], word)
     try:
         given = parse_overrides(rest)
+        values: Any = OmegaConf.to_container(merge(base, given), resolve=True)
+        for group in GROUPS:
+            check_group(group, values[group])
         special = special_settings([groups, chosen, given])
-        return _check(merge(base, given), special, model_words)
+        return _check(values, special, model_words)
     except OmegaConfBaseException as error:
         raise SettingsError(f"{first_line(error)}; write a plain value.") from error
 
 
 def _check(
-    config: DictConfig, special: Mapping[str, Mapping[str, Any]], model_words: Mapping[str, str]
+    values: dict[str, Any],
+    special: Mapping[str, Mapping[str, Any]],
+    model_words: Mapping[str, str],
 ) -> Settings:
-    values: Any = OmegaConf.to_container(config, resolve=True)
     values["model_words"] = dict(model_words)
-    for group in GROUPS:
-        check_group(group, values[group])
     del values["domain"]
     if values["store"] == "":
         raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")

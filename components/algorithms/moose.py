@@ -53,7 +53,7 @@ VERSION = 1
 NEEDS = ("action_vae", "deterministic_ensemble")
 TAKES_LAMBDA = False
 FRAME_EPSILON = 0.0
-LANES_AT_ONCE = {"cpu": 1, "cuda": 8}  # trajectories keep 0.6 GiB a lane for the gradient
+LANES_AT_ONCE = {"cpu": 1, "cuda": 16}  # trajectories keep 0.6 GiB a lane for the gradient
 DRAWN_AT_ONCE = 5  # updates; every one needs a normal number per virtual step and latent
 
 Optimize = Callable[[Sequence[Tensor], float], torch.optim.Optimizer]

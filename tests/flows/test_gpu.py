@@ -1,0 +1,110 @@
+"""The whole grid on a GPU: every part gives there what it gives on the processor.
+
+Random numbers do not depend on the device, so both train on the same draws. Skipped where there is
+no GPU.
+"""
+
+import functools
+from pathlib import Path
+
+import pytest
+import torch
+
+from components.algorithms import ALGORITHMS
+from components.algorithms.train import train_policies
+from components.networks.checkpoint import load_tensors
+from flows.benchmark import benchmark_plan
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.schedule import form_groups
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.worker import GroupCall, run_group
+from flows.settings import load_settings
+from tests.components.interruption import dying
+
+GPU = "cuda"
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no GPU"),
+]
+
+# The products of the two sum in another order; Adam turns a difference in a tiny gradient into one
+# of the step's size, here at most 1e-3. As between stacked and single lanes on the processor.
+CLOSE = {"rtol": 1e-2, "atol": 2e-3}
+
+
+# MOReL's steps, natural gradients from few samples, turn a rounding of 1e-7 into another policy
+# within eight, on a processor too; so it takes a single one after its cloning.
+WORDS = ["profile=smoke", "training.snapshots=1", "algorithm.morel.updates=1"]
+
+
+@functools.cache
+def plan() -> Plan:
+    return benchmark_plan(load_settings(WORDS))
+
+
+def finished(root: Path, device: str) -> ArtifactStore:
+    """The plan, computed on a device."""
+    store = ArtifactStore(root)
+    for group in form_groups(plan(), [node.key for node in plan()], store):
+        result = run_group(GroupCall.of(group.name, store.root, group.nodes, device))
+        assert not result.failed, "\n".join(result.failed.values())
+    return store
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory: pytest.TempPathFactory) -> tuple[ArtifactStore, ...]:
+    return tuple(finished(tmp_path_factory.mktemp(device), device) for device in ("cpu", GPU))
+
+
+def policies_of(algorithm: str) -> list[Node]:
+    """One node per seed."""
+    trained = [node for node in plan() if node.component == "policy_training"]
+    return [node for node in trained if node.tags["algorithm"] == algorithm]
+
+
+def same(node: Node, stores: tuple[ArtifactStore, ...], folder: str) -> None:
+    """Compare all tensors that a node has stored."""
+    files = [sorted((store.path(node.key) / folder).rglob("*.safetensors")) for store in stores]
+    assert len(files[0]) == len(files[1]) > 0
+    for here, there in zip(*files, strict=True):
+        expected, found = load_tensors(here)[0], load_tensors(there)[0]
+        assert found.keys() == expected.keys()
+        for name, tensor in expected.items():
+            torch.testing.assert_close(
+                found[name], tensor, **CLOSE, msg=lambda text, n=name: f"{node.name} {n}: {text}"
+            )
+
+
+def test_models_are_the_processors(stores: tuple[ArtifactStore, ...]) -> None:
+    for node in plan():
+        if node.component == "model_fitting":
+            same(node, stores, "model")
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_policies_are_the_processors(algorithm: str, stores: tuple[ArtifactStore, ...]) -> None:
+    for node in policies_of(algorithm):
+        same(node, stores, "policy")
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_killed_training_continues_there(
+    algorithm: str,
+    stores: tuple[ArtifactStore, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(train_policies.__kwdefaults__, "save_every", 0.0)  # at every update
+    nodes = policies_of(algorithm)
+    store = ArtifactStore(tmp_path)
+    for source in {source.key for node in nodes for source in node.inputs.values()}:
+        (store.nodes / source).symlink_to(stores[1].path(source))
+    call = GroupCall.of("again", store.root, nodes, GPU)
+    learner = ALGORITHMS[algorithm].Learner
+    with monkeypatch.context() as killing:
+        killing.setattr(learner, "update", dying(learner.update, death=5))
+        assert len(run_group(call).failed) == len(nodes)
+    assert not run_group(call).failed
+    for node in nodes:
+        assert store.record(node.key)["resumed"]
+        same(node, (stores[1], store), "policy")
