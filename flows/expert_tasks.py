@@ -13,7 +13,7 @@ import torch
 
 from components.data.experts.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
-from components.data.robots import ROBOTS, make_robots
+from components.data.robots import ROBOT_DATASETS, ROBOTS, make_robots
 from components.environments.robot_specs import simulator_version
 from components.environments.robots import Robots
 from components.experts.judging import judge
@@ -70,13 +70,14 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         policy = read_input(job, f"seed{best}", Policy.load, "policy")
         training = config["training"]
         return_steps = min(RETURN_STEPS, training["horizon"])
+        discount = ROBOT_DATASETS[config["robot"]].discount
         key = lane_key("expert", config["robot"], "verdict")
         verdict = judge(
             lambda frames, policy=policy: act_in_double(policy, frames),
             _machine(config, config["episodes"], context.threads),
             [lane_generator(key, episode) for episode in range(config["episodes"])],
             horizon=training["horizon"],
-            discount=training["discount"],
+            discount=discount,
             return_steps=return_steps,
         )
         card = ExpertCard(
@@ -87,10 +88,10 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             seed=best,
             candidates={str(seed): found["return"] for seed, found in reached.items()},
             step=reached[best]["step"],
-            steps=training["steps"],
+            training=training,
             episodes=config["episodes"],
             return_steps=return_steps,
-            discount=training["discount"],
+            discount=discount,
             **asdict(verdict),
         )
         (job.out / "expert").mkdir()

@@ -15,11 +15,11 @@ from components.algorithms.train import train_policies
 from components.networks.checkpoint import load_tensors
 from flows.benchmark import benchmark_plan
 from flows.pipeline.plan import Node, Plan
-from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, run_group
 from flows.settings import load_settings
 from tests.components.interruption import dying
+from tests.flows.grid import finished
 
 GPU = "cuda"
 pytestmark = [
@@ -42,18 +42,11 @@ def plan() -> Plan:
     return benchmark_plan(load_settings(WORDS))
 
 
-def finished(root: Path, device: str) -> ArtifactStore:
-    """The plan, computed on a device."""
-    store = ArtifactStore(root)
-    for group in form_groups(plan(), [node.key for node in plan()], store):
-        result = run_group(GroupCall.of(group.name, store.root, group.nodes, device))
-        assert not result.failed, "\n".join(result.failed.values())
-    return store
-
-
 @pytest.fixture(scope="module")
 def stores(tmp_path_factory: pytest.TempPathFactory) -> tuple[ArtifactStore, ...]:
-    return tuple(finished(tmp_path_factory.mktemp(device), device) for device in ("cpu", GPU))
+    return tuple(
+        finished(plan(), tmp_path_factory.mktemp(device), device) for device in ("cpu", GPU)
+    )
 
 
 def policies_of(algorithm: str) -> list[Node]:

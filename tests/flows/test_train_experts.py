@@ -111,7 +111,7 @@ def test_documented_defaults_are_the_code_s() -> None:
 
 
 def test_the_seed_with_the_best_evaluation_is_judged_anew(tmp_path: Path) -> None:
-    plan = plan_of()
+    plan = plan_of("experts.training.discount=0.9")
     *seeds, choice = plan
     run(seeds, tmp_path)
     reached = []
@@ -128,7 +128,8 @@ def test_the_seed_with_the_best_evaluation_is_judged_anew(tmp_path: Path) -> Non
     assert own.card.steps == (card.step,)
     for (one, _), (two, _) in zip(own.layers, expert.policy.layers, strict=True):
         assert one.equal(two)
-    assert (card.steps, card.episodes, card.return_steps) == (60, 2, 20)
+    assert (card.training["steps"], card.episodes, card.return_steps) == (60, 2, 20)
+    assert (card.training["discount"], card.discount) == (0.9, 0.99)
     assert card.environment == "proximity/Swimmer-v0"
     assert card.return_mean != card.candidates[str(card.seed)]
     metrics = json.loads((tmp_path / choice.key / "metrics.json").read_text())

@@ -43,7 +43,7 @@ class ExpertCard:
         seed: The one that was chosen.
         candidates: Of every seed, as text, the highest mean return at an evaluation in training.
         step: Environment steps after which the chosen policy was kept.
-        steps: Budget of the training.
+        training: Settings of the training, by name.
         episodes: Whole episodes that it was judged by afterwards, without noise.
         return_mean: Mean of their undiscounted returns.
         return_std: Their standard deviation.
@@ -61,7 +61,7 @@ class ExpertCard:
     seed: int
     candidates: dict[str, float]
     step: int
-    steps: int
+    training: dict[str, Any]
     episodes: int
     return_mean: float
     return_std: float

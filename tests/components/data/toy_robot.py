@@ -80,7 +80,7 @@ def toy_expert(scale: float = 1.0, features: tuple[str, ...] = FEATURES) -> Expe
             seed=0,
             candidates={"0": 1.0, "1": 0.5},
             step=40,
-            steps=60,
+            training={"steps": 60},
             episodes=3,
             return_mean=1.0,
             return_std=0.1,

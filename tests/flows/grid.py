@@ -1,0 +1,17 @@
+"""Plans computed group by group in this process, without Ray and MLflow."""
+
+from pathlib import Path
+
+from flows.pipeline.plan import Plan
+from flows.pipeline.schedule import form_groups
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.worker import GroupCall, run_group
+
+
+def finished(plan: Plan, root: Path, device: str = "cpu") -> ArtifactStore:
+    """The store in which all nodes of a plan are complete."""
+    store = ArtifactStore(root)
+    for group in form_groups(plan, [node.key for node in plan], store):
+        result = run_group(GroupCall.of(group.name, store.root, group.nodes, device))
+        assert not result.failed, "\n".join(result.failed.values())
+    return store
