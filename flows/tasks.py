@@ -111,6 +111,7 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
         preparation=getattr(config, "preparation", 0),
         work=context.work,
         progress=context.progress,
+        device=torch.device(context.device),
     )
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
         (job.out / "policy").mkdir()

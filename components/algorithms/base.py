@@ -1,6 +1,6 @@
 """What every algorithm is given, and the little they share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
@@ -19,8 +19,10 @@ from components.networks.checkpoint import (
     prefixed,
     with_prefix,
 )
+from components.networks.cuda_graphs import BranchingLearner
 from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Learner, adam
+from components.networks.streams import LaneStreams
+from components.networks.training import adam
 
 __all__ = [
     "Ingredients",
@@ -77,7 +79,7 @@ class Ingredients:
         return [dataset.card.all_windows_return_mean for dataset in self.data.datasets]
 
 
-class PolicyLearner(Learner, Protocol):
+class PolicyLearner(BranchingLearner, Protocol):
     """A stack of learners that can be deployed."""
 
     def policy(self, card: PolicyCard) -> Policy:
@@ -92,6 +94,19 @@ class StackedLearner:
 
     _networks: Mapping[str, nn.Module]
     _optimizers: Mapping[str, torch.optim.Optimizer]
+    _streams: LaneStreams
+
+    def stage(self, step: int) -> None:
+        """Put a step's draws where those of all staged steps lie."""
+        self._streams.stage(step)
+
+    def branch(self, step: int) -> Hashable | None:
+        """Equal for steps whose updates do the same but for what is drawn; None: unlike others.
+
+        On a GPU such updates become graphs, see :mod:`components.networks.cuda_graphs`. Where the
+        step number itself has a say, learners give their own answer.
+        """
+        return "all"
 
     def state_dict(self) -> dict[str, Tensor]:
         """All networks and optimisers, lane axis first in every tensor."""

@@ -212,13 +212,17 @@ class Learner(StackedLearner):
             "actor/multiplier": multiplier,
             "actor/saturated_share": saturation(actions),
         }
-        if step >= round(config.warm_up * config.updates):
+        if self.branch(step):
             values = self._critics(batch.observations, actions[:, :, 0]).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
         return loss, discrepancy.detach(), metrics | {"actor/loss": loss.detach()}
 
     # -- update -----------------------------------------------------------------------------
+
+    def branch(self, step: int) -> bool:
+        """Whether the warm-up is over, and the actor follows the critics."""
+        return step >= round(self._config.warm_up * self._config.updates)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update of VAE, critics, actor, multiplier and targets on all lanes."""

@@ -165,7 +165,7 @@ class Learner(StackedLearner):
         return batch.rewards + config.discount * batch.continues * ahead
 
     def _actor_loss(
-        self, batch: Batch, noise: Tensor, step: int
+        self, batch: Batch, noise: Tensor, follows: bool
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self._config
         drawn = self._actor.draw(self._actor(batch.observations), noise)
@@ -175,7 +175,7 @@ class Learner(StackedLearner):
             "actor/divergence": divergence.detach(),
             "actor/saturated_share": saturation(drawn[0]),
         }
-        if step >= round(config.warm_up * config.updates):
+        if follows:
             values = self._critics(batch.observations, drawn[0][:, :, 0]).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
@@ -183,13 +183,20 @@ class Learner(StackedLearner):
 
     # -- update -----------------------------------------------------------------------------
 
+    def branch(self, step: int) -> str:
+        """What is learned: the behaviour, then critics, at last an actor that follows them."""
+        config, since = self._config, step - self._config.preparation
+        if since < 0:
+            return "behaviour"
+        return "values" if since < round(config.warm_up * config.updates) else "actor"
+
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on all lanes: of the behaviour at first, then of critics and actor."""
         drawn = self._streams.at(step)
         batch = self._data.batch(drawn["row"])
-        if step < self._config.preparation:
+        if self.branch(step) == "behaviour":
             return self._clone(batch, drawn["actor"])
-        return self._improve(batch, drawn, step - self._config.preparation)
+        return self._improve(batch, drawn, follows=self.branch(step) == "actor")
 
     def _clone(self, batch: Batch, noise: Tensor) -> dict[str, Tensor]:
         loss, own = self._cloning_loss(batch, noise[:, :, :1])
@@ -206,12 +213,14 @@ class Learner(StackedLearner):
             "behaviour/entropy_weight": weight.detach().clone(),
         }
 
-    def _improve(self, batch: Batch, drawn: dict[str, Tensor], step: int) -> dict[str, Tensor]:
+    def _improve(
+        self, batch: Batch, drawn: dict[str, Tensor], *, follows: bool
+    ) -> dict[str, Tensor]:
         polyak_update(self._critics_target, self._critics, self._config.target_rate)
         targets = self._targets(batch, drawn["next"])
         critic_loss = self._critics.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critics"], critic_loss)
-        actor_loss, metrics = self._actor_loss(batch, drawn["actor"], step)
+        actor_loss, metrics = self._actor_loss(batch, drawn["actor"], follows)
         descend(self._optimizers["actor"], actor_loss)
         return metrics | {
             "critic/loss": critic_loss.detach(),

@@ -152,7 +152,6 @@ class Learner(StackedLearner):
         self, batch: Batch, noise: Tensor, step: int
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Step the temperature; actor's loss ``[L]`` at the new one, and metrics."""
-        config = self._config
         mean, log_std = self._actor(batch.observations)
         actions, _, density = self._actor.draw((mean, log_std), noise)
         entropy_cost = lanewise_mean(density)
@@ -160,7 +159,7 @@ class Learner(StackedLearner):
         descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
         loss = self._log_temperature.value.detach().exp() * entropy_cost
         metrics = {"actor/saturated_share": saturation(actions)}
-        if step < round(config.cloning * config.updates):
+        if self.branch(step):
             logged = raw_actions(batch.actions, ACTION_MARGIN)
             loss = loss - lanewise_mean(log_density(mean, log_std, logged))
         else:
@@ -207,6 +206,10 @@ class Learner(StackedLearner):
         return (errors + multiplier[:, None] * (gaps - allowed)).sum(dim=1)
 
     # -- update -----------------------------------------------------------------------------
+
+    def branch(self, step: int) -> bool:
+        """Whether the actor still clones the log."""
+        return step < round(self._config.cloning * self._config.updates)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update of temperature, actor, critics and targets on all lanes."""

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms import td3_bc
+from components.algorithms.base import Ingredients
 from components.data.lanes import Batch
 from components.networks import Draw, lanewise_mean
 from components.networks.policy import LAMBDA_SCALING
@@ -55,6 +56,10 @@ class Learner(td3_bc.Learner):
 
     _steered = 1
 
+    def __init__(self, config: Config, parts: Ingredients) -> None:
+        super().__init__(config, parts)
+        self._steering = LAMBDA_SCALING.to(parts.data.device)
+
     def _draws(self) -> dict[str, Draw]:
         shape = self._config.batch
         beta = self._config.beta  # type: ignore[attr-defined]
@@ -66,7 +71,7 @@ class Learner(td3_bc.Learner):
 
     def _steer(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Observations ``[L, B, O + 1]`` with lambda ``[L, B]`` as their last entry."""
-        steered = LAMBDA_SCALING.to(observations.device).apply(proximity[..., None])
+        steered = self._steering.apply(proximity[..., None])
         return torch.cat([observations, steered], dim=-1)
 
     def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
@@ -84,6 +89,5 @@ class Learner(td3_bc.Learner):
         )
 
     def _weigh(self, batch: Batch, gain: Tensor, distance: Tensor) -> Tensor:
-        scaling = LAMBDA_SCALING.to(gain.device)
-        proximity = scaling.invert(batch.observations[..., -1:]).squeeze(-1)
+        proximity = self._steering.invert(batch.observations[..., -1:]).squeeze(-1)
         return lanewise_mean((1.0 - proximity) * distance - proximity * gain)

@@ -240,8 +240,7 @@ class Learner(SoftActorCritic):
     def _batch(self, drawn: Mapping[str, Tensor], step: int) -> Batch:
         """Logged transitions first, then virtual ones."""
         config = self._config
-        kept = min(step // config.rollout_every + 1, config.retained_rollouts)
-        filled = kept * config.rollouts * config.rollout_length
+        filled = self._kept(step) * config.rollouts * config.rollout_length
         virtual = self._buffer.batch((drawn["virtual"] * filled).long())
         if config.logged == 0:
             return virtual
@@ -252,6 +251,14 @@ class Learner(SoftActorCritic):
                 for f in fields(Batch)
             }
         )
+
+    def _kept(self, step: int) -> int:
+        """Roll-outs in the buffer."""
+        return min(step // self._config.rollout_every + 1, self._config.retained_rollouts)
+
+    def branch(self, step: int) -> int | None:
+        """How full the buffer is; a step with a roll-out is unlike others."""
+        return self._kept(step) if step % self._config.rollout_every else None
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on all lanes, after a new roll-out where one is due."""

@@ -277,6 +277,9 @@ class Learner(StackedLearner):
 
     # -- update -----------------------------------------------------------------------------
 
+    def branch(self, step: int) -> None:
+        """No two updates are alike: how many samples live on is part of their shape."""
+
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on all lanes: of the clone at first, then a natural gradient step."""
         if step < self._config.preparation:

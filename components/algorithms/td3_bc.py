@@ -142,6 +142,10 @@ class Learner(StackedLearner):
 
     # -- update -----------------------------------------------------------------------------
 
+    def branch(self, step: int) -> bool:
+        """Whether the actor learns, too."""
+        return (step + 1) % self._config.actor_every == 0
+
     def update(self, step: int) -> dict[str, Tensor]:
         """One critic update on all lanes; every second time also actor and targets."""
         drawn = self._streams.at(step)
@@ -153,7 +157,7 @@ class Learner(StackedLearner):
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),
         }
-        if (step + 1) % self._config.actor_every == 0:
+        if self.branch(step):
             actor_loss, actor_metrics = self._actor_loss(batch)
             descend(self._optimizers["actor"], actor_loss)
             polyak_update(self._actor_target, self._actor, self._config.target_rate)

@@ -10,12 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from components.algorithms.base import PolicyLearner
 from components.data.dataset import OfflineDataset
+from components.networks.cuda_graphs import graphed
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Curves, TrainingLoop
 
 __all__ = ["snapshot_steps", "train_policies"]
+
+CPU = torch.device("cpu")
 
 
 def snapshot_steps(updates: int, snapshots: int) -> tuple[int, ...]:
@@ -44,6 +49,7 @@ def train_policies(
     work: Path,
     progress: Callable[[float], None],
     save_every: float = 20.0,
+    device: torch.device = CPU,
 ) -> tuple[list[Policy], Curves]:
     """Train all lanes and collect their snapshots.
 
@@ -60,6 +66,7 @@ def train_policies(
         progress: Told the finished fraction of the budget; an update of the preparation may cost
             a hundredth of one of the budget, so that it stays at 0 until then.
         save_every: Seconds between checkpoints.
+        device: The learner's.
 
     Returns:
         Per lane a policy stack of S snapshots; the learning curves.
@@ -101,7 +108,7 @@ def train_policies(
     )
     if not loop.checkpoint_exists:
         keep_snapshot(0, Curves())
-    curves = loop.run(learner, keep_snapshot)
+    curves = loop.run(graphed(learner, device), keep_snapshot)
     policies = [
         _one_stack(
             [Policy.load(folders[step] / member) for step in (0, *steps)], curves.ended_at(lane)

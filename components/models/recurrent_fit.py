@@ -41,7 +41,8 @@ from components.networks.checkpoint import (
     prefixed,
     with_prefix,
 )
-from components.networks.training import Curves, TrainingLoop, adam
+from components.networks.cuda_graphs import graphed
+from components.networks.training import Curves, TrainingLoop, adam, set_rate
 
 __all__ = ["fit_recurrent_ensemble"]
 
@@ -58,7 +59,7 @@ class _EnsembleLearner:
         key: int,
         device: torch.device,
     ) -> None:
-        self._config, self._windows = config, windows
+        self._config, self._windows, self._rated = config, windows, -1
         self.lanes = windows.networks
         keys = [lane_key(key, group, k) for group in windows.groups for k in range(config.members)]
         width, reads = config.hidden, windows.reads
@@ -96,9 +97,20 @@ class _EnsembleLearner:
         passed = (step - rise) / max(1, self._config.updates - rise)
         return self._config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * passed))
 
+    def branch(self, step: int) -> str:
+        return "all"
+
+    def stage(self, step: int) -> None:
+        self._streams.stage(step)
+        self._follow_schedule(step)
+
+    def _follow_schedule(self, step: int) -> None:
+        if step != self._rated:
+            set_rate(self._optimizer, self._rate(step))
+            self._rated = step
+
     def update(self, step: int) -> dict[str, Tensor]:
-        for group in self._optimizer.param_groups:
-            group["lr"] = self._rate(step)
+        self._follow_schedule(step)
         start = self._windows.train[self._streams.at(step)["start"]]
         inputs, targets = self._windows.gather(start)
         predictions = self._predict(self.weight, self.readout, inputs)
@@ -198,7 +210,7 @@ def fit_recurrent_ensemble(
         return bool((learner.stale >= config.patience).all())
 
     loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
-    curves = loop.run(learner, validate)
+    curves = loop.run(graphed(learner, device), validate)
     final = learner.validation_loss(learner.best_weight, learner.best_readout, stride=1)
     of_networks = zip(names, final.mean(dim=1), strict=True)
     of_features = final.view(len(windows.groups), config.members, -1).mean(dim=1).flatten()

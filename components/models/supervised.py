@@ -22,8 +22,9 @@ from components.networks.checkpoint import (
     prefixed,
     with_prefix,
 )
+from components.networks.cuda_graphs import graphed
 from components.networks.streams import LaneStreams
-from components.networks.training import Curves, TrainingLoop, adam
+from components.networks.training import Curves, TrainingLoop, adam, set_rate
 
 __all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
 
@@ -112,7 +113,7 @@ class StackedFit(Generic[N]):
         self.stale = torch.zeros(lanes, device=device)  # validations since a lane's best
         self._loss, self._streams = loss, streams
         self._rate, self._schedule = learning_rate, schedule
-        self._updates = 1
+        self._updates, self._rated = 1, -1
         self._optimizer = adam(list(network.parameters()), learning_rate, weight_decay)
 
     def run(
@@ -159,13 +160,26 @@ class StackedFit(Generic[N]):
         loop = TrainingLoop(
             updates, names, checkpoint, log_every=validate_every, progress=monitor.progress
         )
-        return loop.run(self, after)
+        return loop.run(graphed(self, self.best_loss.device), after)
+
+    def branch(self, step: int) -> str:
+        """All updates are alike."""
+        return "all"
+
+    def stage(self, step: int) -> None:
+        """Put a step's draws and learning rate in their place, for CUDA graphs to read."""
+        self._streams.stage(step)
+        self._follow_schedule(step)
+
+    def _follow_schedule(self, step: int) -> None:
+        if self._schedule == "cosine" and step != self._rated:
+            falling = 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
+            set_rate(self._optimizer, self._rate * falling)
+            self._rated = step
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One step of all lanes down their training losses."""
-        if self._schedule == "cosine":
-            for group in self._optimizer.param_groups:
-                group["lr"] = self._rate * 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
+        self._follow_schedule(step)
         loss, metrics = self._loss(self.network, self._streams.at(step))
         self._optimizer.zero_grad(set_to_none=True)
         loss.sum().backward()

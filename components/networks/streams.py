@@ -80,13 +80,26 @@ class LaneStreams:
         self._block = block
         self._number = -1
         self._cache: dict[str, Tensor] = {}
+        self._staged = -1
+        self._stage: dict[str, Tensor] = {}
 
     def at(self, step: int) -> dict[str, Tensor]:
         """Random tensors ``[L, ...]`` of one step; any step may be asked for at any time."""
+        if step == self._staged:
+            return self._stage
         number, offset = divmod(step, self._block)
         if number != self._number:
             self._fill(number)
         return {name: block[offset] for name, block in self._cache.items()}
+
+    def stage(self, step: int) -> None:
+        """Put a step's tensors where those of all staged steps lie, for CUDA graphs to read."""
+        fresh = self.at(step)
+        if not self._stage:
+            self._stage = {name: tensor.clone() for name, tensor in fresh.items()}
+        for name, tensor in fresh.items():
+            self._stage[name].copy_(tensor)
+        self._staged = step
 
     def _fill(self, number: int) -> None:
         drawn: dict[str, list[npt.NDArray[np.generic]]] = {name: [] for name in self._draws}

@@ -18,7 +18,7 @@ from torch import Tensor
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.stacked import select_lanes
 
-__all__ = ["Curves", "Learner", "TrainingLoop", "adam"]
+__all__ = ["Curves", "Learner", "TrainingLoop", "adam", "set_rate"]
 
 
 class Learner(Protocol):
@@ -178,6 +178,21 @@ def adam(
     parameters: Sequence[Tensor], learning_rate: float, weight_decay: float = 0.0
 ) -> torch.optim.Adam:
     """Adam over stacked parameters in one fused kernel; element-wise, so lanes stay independent."""
+    parameters = list(parameters)
+    device = parameters[0].device
     return torch.optim.Adam(
-        list(parameters), lr=learning_rate, weight_decay=weight_decay, fused=True
+        parameters,
+        lr=torch.tensor(learning_rate, device=device) if device.type == "cuda" else learning_rate,
+        weight_decay=weight_decay,
+        fused=True,
+        capturable=device.type == "cuda",  # in graphs, which read the learning rate from memory
     )
+
+
+def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    """Change the learning rate where the optimiser, or a graph of its steps, reads it."""
+    for group in optimizer.param_groups:
+        if isinstance(group["lr"], Tensor):
+            group["lr"].fill_(rate)
+        else:
+            group["lr"] = rate

@@ -86,12 +86,17 @@ def config(algorithm: str, **changes: Any) -> Any:
 
 
 def learner(
-    algorithm: str, logs: Sequence[OfflineDataset], seeds: Sequence[int], **changes: Any
+    algorithm: str,
+    logs: Sequence[OfflineDataset],
+    seeds: Sequence[int],
+    *,
+    device: torch.device = CPU,
+    **changes: Any,
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
     module = ALGORITHMS[algorithm]
     parts = Ingredients(
-        data=LaneData(logs, CPU, module.FRAME_EPSILON),
+        data=LaneData(logs, device, module.FRAME_EPSILON),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
         ],

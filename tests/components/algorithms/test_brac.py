@@ -155,12 +155,19 @@ def test_targets_pay_for_divergence_and_stop_at_terminals_alone() -> None:
         assert targets[lane, 2] == batch.rewards[lane, 2]
 
 
+def test_the_behaviour_is_learned_first() -> None:
+    made = small()
+    branches = [made.branch(step) for step in range(made._config.preparation + 1)]
+    assert branches == ["behaviour"] * made._config.preparation + ["values"]
+
+
 def test_actor_loss_leaves_values_out_until_the_warm_up_ends() -> None:
     made = small(alpha=0.3)
     batch, noise = rows(made, 3, 50, 100), normal(2, 3, 4, 3)
     first = 0.04 * 100  # of 100 updates
     for step, sees_values in ((0, False), (first - 1, False), (first, True), (99, True)):
-        loss, metrics = made._actor_loss(batch, noise, int(step))
+        follows = made.branch(made._config.preparation + int(step)) == "actor"
+        loss, metrics = made._actor_loss(batch, noise, follows)
         assert ("critic/value_magnitude" in metrics) == sees_values
         for lane in range(2):
             expected = 0.0

@@ -150,6 +150,28 @@ def test_state_has_lanes_first_and_round_trips(name: str, log: OfflineDataset) -
             assert torch.equal(ours[metric], value)
 
 
+@in_every_world
+@every_algorithm
+def test_steps_of_a_branch_differ_in_what_is_drawn_alone(name: str, log: OfflineDataset) -> None:
+    """So that one CUDA graph does for all of them."""
+    one, other = (learner(name, [log], [0]) for _ in range(2))
+    step = 20
+    for made in (one, other):
+        run(made, step)
+    branch = one.branch(step)
+    if branch is None:
+        assert name == "morel"
+        return
+    later = next(n for n in range(step + 1, 100) if one.branch(n) == branch)
+    other.stage(step)
+    other._streams._staged = later
+    expected = one.update(step)
+    for metric, value in other.update(later).items():
+        assert torch.equal(value, expected[metric])
+    for key, tensor in other.state_dict().items():
+        assert torch.equal(tensor, one.state_dict()[key])
+
+
 def test_lanes_need_equal_shapes_and_one_machine() -> None:
     with pytest.raises(ValueError, match="equal frame, action and history widths"):
         LaneData([LOG, make_log(history=4)], CPU)

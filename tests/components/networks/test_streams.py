@@ -89,3 +89,14 @@ def test_numbers_are_the_ones_results_were_made_with() -> None:
         456796296,
         504299673,
     ]
+
+
+def test_staged_draws_lie_where_those_of_the_last_stage_lay() -> None:
+    staged, fresh = streams(), streams()
+    staged.stage(2)
+    place = staged.at(2)["noise"]
+    assert torch.equal(place, fresh.at(2)["noise"])
+    staged.stage(9)
+    assert staged.at(9)["noise"] is place
+    assert torch.equal(place, fresh.at(9)["noise"])
+    assert torch.equal(staged.at(10)["noise"], fresh.at(10)["noise"])
