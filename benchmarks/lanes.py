@@ -2,7 +2,8 @@
 
 `python -m benchmarks.lanes [--device cpu] [--repetitions 3]`. Both train at the thesis's sizes on
 the same dataset; the five programs take turns, update by update, in one process, so neither
-start-up nor loading counts against them. LION's behaviour policy and transition ensemble are
+start-up nor loading counts against them. On a GPU both replay their updates as CUDA graphs, and a
+third row shows what that buys. LION's behaviour policy and transition ensemble are
 freshly initialised: their weights do not change the amount of work.
 """
 
@@ -10,6 +11,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +25,7 @@ from components.data.dataset import OfflineDataset
 from components.data.lanes import LaneData
 from components.models.recurrent_ensemble import RecurrentEnsemble
 from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
+from components.networks.cuda_graphs import BranchingLearner, graphed
 from components.networks.normaliser import Normaliser
 from components.networks.policy import Policy, PolicyCard
 from components.networks.training import Learner
@@ -33,6 +36,7 @@ __all__ = ["UNTRAINED", "program", "report"]
 _SEEDS = 5
 _MEMBERS, _HIDDEN = 4, 30  # of the transition ensemble
 _UPDATES = MappingProxyType({"td3_bc": 20, "lion": 2})  # per timing: about a second or two
+_ON_A_GPU = 10  # times as many updates per timing
 _DEFAULTS: Mapping[str, Mapping[str, object]] = MappingProxyType({})
 
 
@@ -42,7 +46,7 @@ def program(
     seeds: Sequence[int],
     device: torch.device,
     **settings: object,
-) -> Learner:
+) -> BranchingLearner:
     """A fresh learner with one lane per seed.
 
     Args:
@@ -58,7 +62,7 @@ def program(
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
         models={name: [UNTRAINED[name](dataset)] * len(seeds) for name in module.NEEDS},
     )
-    learner: Learner = module.Learner(module.Config(**settings), parts)
+    learner: BranchingLearner = module.Learner(module.Config(**settings), parts)
     return learner
 
 
@@ -133,19 +137,28 @@ def report(
     keep_freed_memory()
     place = torch.device(device)
     dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
+    on_a_gpu = place.type == "cuda"
     rows = []
-    for algorithm, count in updates.items():
-        own = settings.get(algorithm, {})
-        alone = [program(algorithm, dataset, [s], place, **own) for s in range(_SEEDS)]
-        stack = program(algorithm, dataset, range(_SEEDS), place, **own)
-        names = (f"{_SEEDS} programs of 1 lane, in turn", f"1 program of {_SEEDS} lanes")
-        seconds = median_seconds(
-            {names[0]: _updates(alone, count), names[1]: _updates([stack], count)}, repetitions
-        )
-        rates = {name: count * _SEEDS / seconds[name] for name in names}  # seed-updates per second
-        for name in names:
-            lanes = 1 if name == names[0] else _SEEDS
-            rate, ratio = rates[name], rates[name] / rates[names[0]]
+    for algorithm, few in updates.items():
+        own, count = settings.get(algorithm, {}), few * (_ON_A_GPU if on_a_gpu else 1)
+
+        def fresh(*seeds: int, of: str = algorithm, own: Any = own) -> BranchingLearner:
+            return program(of, dataset, seeds, place, **own)
+
+        seeds = range(_SEEDS)
+        alone, together = (f"{_SEEDS} programs of 1 lane, in turn", f"1 program of {_SEEDS} lanes")
+        programs = {
+            alone: [graphed(fresh(seed), place) for seed in seeds],
+            together: [graphed(fresh(*seeds), place)],
+        }
+        if on_a_gpu:
+            programs[f"{together}, no graphs"] = [fresh(*seeds)]
+        runs = {name: _updates(learners, count) for name, learners in programs.items()}
+        seconds = median_seconds(runs, repetitions)
+        rates = {name: count * _SEEDS / taken for name, taken in seconds.items()}
+        for name, rate in rates.items():  # seed-updates per second
+            lanes = 1 if name == alone else _SEEDS
+            ratio = rate / rates[alone]
             rows.append([algorithm, name, f"{rate / lanes:,.1f}", f"{rate:,.1f}", f"{ratio:.2f}"])
     columns = ["learner", "program", "updates/s of one program", "seed-updates/s", "times"]
     return markdown(columns, rows, texts=2)
