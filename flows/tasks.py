@@ -65,7 +65,11 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
 def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
     """Data generation: `dataset/` holds the arrays and the card."""
     for job in jobs:
-        dataset = generate(spec_kind(job.config["spec"])(**job.config["spec"]), job.config["seed"])
+        dataset = generate(
+            spec_kind(job.config["spec"])(**job.config["spec"]),
+            job.config["seed"],
+            context.threads,
+        )
         dataset.write(job.out / "dataset")
         card = dataset.card
         write_numbers(

@@ -38,7 +38,7 @@ class DatasetSpec(Protocol):
     def ingredients(self) -> Mapping[str, str]:
         """Digests of stored things that it is made with; they identify it beside its fields."""
 
-    def generate(self, seed: int) -> OfflineDataset:
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
         """Make the dataset; the same bytes for the same specification, ingredients and seed."""
 
 
@@ -53,12 +53,13 @@ def spec_kind(fields: Mapping[str, Any]) -> type[IndustrialSpec] | type[RobotSpe
     return RobotSpec if "robot" in fields else IndustrialSpec
 
 
-def generate(spec: DatasetSpec, seed: int) -> OfflineDataset:
+def generate(spec: DatasetSpec, seed: int, threads: int = 1) -> OfflineDataset:
     """Make a dataset; the same bytes for the same specification, ingredients and seed.
 
     Args:
         spec: what to make, from `DATASETS` or a variation of it.
         seed: a whole number from 0.
+        threads: that may be used; the bytes do not depend on them.
 
     Raises:
         FileNotFoundError: an ingredient is missing.
@@ -66,4 +67,4 @@ def generate(spec: DatasetSpec, seed: int) -> OfflineDataset:
     """
     if seed < 0:
         raise ValueError(f"seed is {seed}; give a whole number from 0.")
-    return spec.generate(seed)
+    return spec.generate(seed, threads)

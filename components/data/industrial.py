@@ -85,8 +85,8 @@ class IndustrialSpec:
         """Digests of stored things it is made with: none."""
         return {}
 
-    def generate(self, seed: int) -> OfflineDataset:
-        """Make the dataset; the same bytes for the same specification and seed."""
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
+        """Make the dataset, in one thread; the same bytes for the same specification and seed."""
         noise, exploration = _generators(self.name, seed)
         log = collect(
             CONTROLLERS[self.controller],

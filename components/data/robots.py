@@ -122,7 +122,7 @@ class RobotSpec:
         """
         return {"expert": self._expert().card.digest}
 
-    def generate(self, seed: int) -> OfflineDataset:
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
         """Make the dataset; the same bytes for the same specification, expert and seed.
 
         Raises:
@@ -130,7 +130,7 @@ class RobotSpec:
             ValueError: the expert is damaged or knows another robot.
         """
         expert = self._expert()
-        machine = make_robots(self.robot, _COPIES, self.physics)
+        machine = make_robots(self.robot, _COPIES, self.physics, threads)
         if expert.policy.card.features != tuple(machine.frame_features):
             raise ValueError(
                 f"the expert of {expert.card.robot} does not know the frames of "

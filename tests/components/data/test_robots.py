@@ -26,7 +26,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "hopper").mkdir()
     toy_expert().save(tmp_path / "hopper")
     monkeypatch.setattr(robots, "SHIPPED", tmp_path)
-    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, physics: ToyRobot(copies))
+    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, *_: ToyRobot(copies))
     return tmp_path / "hopper"
 
 
@@ -234,7 +234,7 @@ def test_an_expert_of_another_robot_is_refused(toy: Path, monkeypatch: pytest.Mo
     class Other(ToyRobot):
         frame_features = ("place", "speed", "angle")
 
-    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, physics: Other(copies))
+    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, *_: Other(copies))
     with pytest.raises(ValueError, match="does not know the frames of proximity/Hopper-v0"):
         SPEC.generate(0)
 
@@ -275,3 +275,10 @@ def test_the_log_of_a_swimmer_can_be_played_again(monkeypatch: pytest.MonkeyPatc
 def test_impossible_specifications_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(SPEC, **change)
+
+
+@pytest.mark.parametrize("robot", ROBOT_DATASETS)
+def test_shipped_experts_log_the_same_bytes_on_more_threads(robot: str) -> None:
+    spec = dataclasses.replace(ROBOT_DATASETS[robot], transitions=2000)
+    digests = {spec.generate(0, threads).card.digest for threads in (1, 2)}
+    assert len(digests) == 1
