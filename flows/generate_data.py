@@ -18,11 +18,12 @@ from flows.settings import Settings
 HELP = """\
 usage: python -m flows.generate_data [KEY=VALUE ...]
 
-Generate Industrial Benchmark datasets and export them for Minari. No argument makes all sixteen.
+Generate datasets and export them for Minari. No argument makes all nineteen.
 
   datasets=[a,b]      names in conf/dataset
   data.seed=0         of the generation; equal seeds give equal bytes
-  data.trajectories=100 data.steps=1000
+  data.trajectories=100 data.steps=1000     of the Industrial Benchmark
+  data.transitions=1000000                  of a robot
   dry_run=true        show what would be made and stop
 """
 
