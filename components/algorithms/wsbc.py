@@ -26,6 +26,7 @@ with the constants of thesis 2.6. The text leaves open and this module decides:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -48,8 +49,9 @@ NEEDS = ("behaviour_policy", "recurrent_ensemble")
 TAKES_LAMBDA = False
 FRAME_EPSILON = 0.0  # of the data's frames; the policies see them as the clone does
 
-TRAJECTORIES_AT_ONCE: Final = 4000
-"""Virtual trajectories of a chunk: what they need at one step should fit a processor's cache."""
+TRAJECTORIES_AT_ONCE: Final = MappingProxyType({"cpu": 4000, "cuda": 200_000})
+"""Virtual trajectories of a chunk: what they need at one step should fit a processor's cache; on a
+GPU, where many keep it busy, less than its memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +200,8 @@ class Learner(StackedLearner):
     @torch.no_grad()
     def _fitness(self) -> Tensor:
         """Mean virtual returns of all particles, ``[L, N]``; chunks of them bound the memory."""
-        chunk = max(1, TRAJECTORIES_AT_ONCE // (self.lanes * self._config.starts))
+        at_once = TRAJECTORIES_AT_ONCE[self._data.device.type]
+        chunk = max(1, at_once // (self.lanes * self._config.starts))
         return torch.cat([self._returns(p) for p in self._swarm.positions.split(chunk, 1)], 1)
 
     # -- update -----------------------------------------------------------------------------

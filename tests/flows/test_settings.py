@@ -10,13 +10,13 @@ import pytest
 import yaml
 
 from components.algorithms import ALGORITHMS
-from components.data.industrial import INDUSTRIAL_DATASETS
+from components.data.catalogue import DATASETS
 from components.models import MODELS
 from flows.composition import CONF
 from flows.settings import Settings, SettingsError, load_settings
 
 ROOT = Path(__file__).parents[2]
-ALL_DATASETS = ", ".join(sorted(INDUSTRIAL_DATASETS))
+ALL_DATASETS = ", ".join(sorted(DATASETS))
 
 
 @pytest.fixture(scope="module")
@@ -50,19 +50,19 @@ def test_every_algorithm_and_model_has_its_file() -> None:
     for group, known in (
         ("algorithm", ALGORITHMS),
         ("model", MODELS),
-        ("dataset", INDUSTRIAL_DATASETS),
+        ("dataset", DATASETS),
     ):
         assert {path.stem for path in (CONF / group).glob("*.yaml")} == set(known)
 
 
-@pytest.mark.parametrize("name", INDUSTRIAL_DATASETS)
+@pytest.mark.parametrize("name", DATASETS)
 def test_documented_datasets_are_the_catalogue_s(name: str, paper: Settings) -> None:
-    assert paper.dataset[name] == INDUSTRIAL_DATASETS[name]
+    assert paper.dataset[name] == DATASETS[name]
 
 
 def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Settings) -> None:
     assert paper.profile_name == "paper"
-    assert paper.datasets == tuple(sorted(INDUSTRIAL_DATASETS))
+    assert paper.datasets == tuple(sorted(DATASETS))
     updates = {
         **dict.fromkeys(("bc", "ddpg", "bcq", "bear", "brac", "td3_bc"), 10_000),
         **{"cql": 300_000, "mopo": 100_000, "morel": 500},

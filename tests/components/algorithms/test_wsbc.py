@@ -196,7 +196,7 @@ def test_chunks_do_not_change_the_result(at_once: int, monkeypatch: pytest.Monke
     logs = [LOG, OTHER]
     sizes = {"particles": 7, "starts": 5, "box": 0.1}
     whole = learner("wsbc", logs, [0, 1], **sizes)
-    monkeypatch.setattr(wsbc, "TRAJECTORIES_AT_ONCE", at_once)
+    monkeypatch.setattr(wsbc, "TRAJECTORIES_AT_ONCE", {"cpu": at_once})
     unrolled: list[int] = []
     chunked = learner("wsbc", logs, [0, 1], **sizes)
     unroll = chunked._machine.unroll
