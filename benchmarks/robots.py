@@ -79,8 +79,9 @@ def plain_returns(
 def evaluated(policy: Policy, name: str, config: EvaluationConfig, threads: int) -> PolicyReturns:
     """The project's evaluation of the same policy from the same starts."""
     device = torch.device("cpu")
-    parameters = {"threads": threads}
-    [result] = evaluate_policies([policy], [policy], name, parameters, config, [_STREAM], device)
+    [result] = evaluate_policies(
+        [policy], [policy], name, {}, config, [_STREAM], device, threads=threads
+    )
     return result
 
 

@@ -140,6 +140,7 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
         [lane_key("evaluation", *job.config["stream"]) for job in jobs],
         torch.device(context.device),
         context.progress,
+        context.threads,
     )
     for job, policy, result in zip(jobs, policies, results, strict=True):
         with (job.out / "returns.npz").open("wb") as file:

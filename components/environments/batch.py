@@ -43,9 +43,14 @@ class BatchEnvironment(Protocol):
         """Act with `[N, A]`; returns frames `[N, F]` and rewards `[N]`."""
 
 
+def _industrial(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
+    """Whatever threads there are: its arithmetic is NumPy's."""
+    return IndustrialBenchmark(copies, **parameters)
+
+
 _MAKERS: Final[Mapping[str, Callable[..., BatchEnvironment]]] = MappingProxyType(
     {
-        INDUSTRIAL_BENCHMARK_ID: IndustrialBenchmark,
+        INDUSTRIAL_BENCHMARK_ID: _industrial,
         SWIMMER_ID: partial(Robots, SWIMMER),
         HOPPER_ID: partial(Robots, HOPPER),
         WALKER2D_ID: partial(Robots, WALKER2D),
@@ -53,14 +58,16 @@ _MAKERS: Final[Mapping[str, Callable[..., BatchEnvironment]]] = MappingProxyType
 )
 
 
-def make_batch(environment: str, copies: int, **parameters: Any) -> BatchEnvironment:
+def make_batch(
+    environment: str, copies: int, threads: int = 1, **parameters: Any
+) -> BatchEnvironment:
     """N copies of the system with this Gymnasium id.
 
     Args:
         environment: the id.
         copies: N.
-        parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` and `threads`
-            of a robot.
+        threads: that step the copies; the numbers do not depend on it.
+        parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` of a robot.
 
     Raises:
         ValueError: If the id is unknown.
@@ -71,4 +78,4 @@ def make_batch(environment: str, copies: int, **parameters: Any) -> BatchEnviron
         raise ValueError(
             f"Unknown environment {environment!r}; known are {', '.join(_MAKERS)}."
         ) from None
-    return maker(copies, **parameters)
+    return maker(copies, threads=threads, **parameters)

@@ -79,6 +79,7 @@ def evaluate_policies(
     keys: Sequence[int],
     device: torch.device,
     progress: Callable[[float], None] = lambda fraction: None,
+    threads: int = 1,
 ) -> list[PolicyReturns]:
     """Evaluate stacks of snapshots, all of them at once.
 
@@ -91,6 +92,7 @@ def evaluate_policies(
         keys: One random stream per stack.
         device: Where the policies act.
         progress: Told the finished fraction.
+        threads: That step the real systems.
 
     Returns:
         One result per stack.
@@ -103,7 +105,9 @@ def evaluate_policies(
     clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
     proximity = torch.tensor(grid, device=device).repeat_interleave(repeats)
     steering = proximity.expand(actors.lanes, -1) if steered else None
-    machines = [make_batch(environment, snapshots * per_policy, **parameters) for _ in policies]
+    machines = [
+        make_batch(environment, snapshots * per_policy, threads, **parameters) for _ in policies
+    ]
     histories = [
         FrameHistory(machine.reset(lane_generator(key)), actors.card.history)
         for machine, key in zip(machines, keys, strict=True)

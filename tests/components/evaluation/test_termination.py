@@ -20,7 +20,7 @@ STILL = constant_policy([0.0], history=1)
 
 
 def make_toy(*lives: int) -> Callable[..., "Faller"]:
-    return lambda name, copies: Faller(lives)
+    return lambda name, copies, threads: Faller(lives)
 
 
 class Faller:
