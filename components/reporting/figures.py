@@ -65,7 +65,7 @@ def proximity_figure(
     upper.set_ylim(_limits(curves, fixed, behaviour_return))
     upper.set_title(dataset)
     upper.set_ylabel("discounted 100-step return")
-    upper.legend(fontsize="small", frameon=False)
+    upper.legend(fontsize="small", edgecolor="none", framealpha=0.9)  # over lines of other policies
     lower.set_ylabel("distance to\nbehaviour policy")
     lower.set_xlabel("proximity parameter λ")
     lower.set_xlim(0.0, 1.0)
