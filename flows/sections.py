@@ -77,6 +77,7 @@ class RunnerSettings(Strict):
     cpus: int | None = Field(ge=1)
     threads: int = Field(ge=1)
     device: Literal["auto", "cpu", "cuda"]
+    gpu_share: float = Field(gt=0, le=1)
     stack: Literal["pair", "algorithm"]
 
 

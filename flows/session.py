@@ -93,7 +93,12 @@ def make_executor(settings: Settings) -> Executor:
         raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
     if runner.executor == "serial":
         return SerialExecutor(device=device, threads=runner.threads)
-    return RayExecutor(cpus=runner.cpus, threads=runner.threads, device=device)
+    return RayExecutor(
+        cpus=runner.cpus,
+        threads=runner.threads,
+        device=device,
+        gpus_per_task=runner.gpu_share,
+    )
 
 
 def run_sweep(

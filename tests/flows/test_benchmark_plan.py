@@ -53,6 +53,7 @@ def test_every_component_has_its_nodes() -> None:
         "runner.cpus=1",
         "runner.threads=2",
         "runner.device=cpu",
+        "runner.gpu_share=0.1",
         "runner.stack=algorithm",
         "store=elsewhere",
         "sweep=named",

@@ -154,6 +154,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("runner.executor=dask", "should be 'ray' or 'serial'"),
         ("runner.device=tpu", "'auto', 'cpu' or 'cuda'"),
         ("runner.cpus=0", "greater than or equal to 1"),
+        ("runner.gpu_share=0", "greater than 0"),
         ("algorithm.lion.updates=0", "algorithm.lion: updates, .* at least 1"),
         ("algorithm.lion.discount=1.5", r"discount must lie in \(0, 1\]"),
         ("algorithm.lion.hidden=256", "algorithm.lion.hidden=256: .* tuple"),
