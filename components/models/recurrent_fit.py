@@ -42,7 +42,7 @@ from components.networks.checkpoint import (
     with_prefix,
 )
 from components.networks.cuda_graphs import graphed
-from components.networks.training import Curves, TrainingLoop, adam, set_rate
+from components.networks.training import Curves, Schedule, TrainingLoop, adam
 
 __all__ = ["fit_recurrent_ensemble"]
 
@@ -59,7 +59,7 @@ class _EnsembleLearner:
         key: int,
         device: torch.device,
     ) -> None:
-        self._config, self._windows, self._rated = config, windows, -1
+        self._config, self._windows = config, windows
         self.lanes = windows.networks
         keys = [lane_key(key, group, k) for group in windows.groups for k in range(config.members)]
         width, reads = config.hidden, windows.reads
@@ -82,6 +82,7 @@ class _EnsembleLearner:
         self._optimizer = adam(
             [self.weight, self.readout], config.learning_rate, config.weight_decay
         )
+        self._schedule = Schedule(self._optimizer, self._rate)
         count = len(windows.train)
         self._streams = LaneStreams(
             keys,
@@ -102,15 +103,10 @@ class _EnsembleLearner:
 
     def stage(self, step: int) -> None:
         self._streams.stage(step)
-        self._follow_schedule(step)
-
-    def _follow_schedule(self, step: int) -> None:
-        if step != self._rated:
-            set_rate(self._optimizer, self._rate(step))
-            self._rated = step
+        self._schedule.follow(step)
 
     def update(self, step: int) -> dict[str, Tensor]:
-        self._follow_schedule(step)
+        self._schedule.follow(step)
         start = self._windows.train[self._streams.at(step)["start"]]
         inputs, targets = self._windows.gather(start)
         predictions = self._predict(self.weight, self.readout, inputs)

@@ -24,7 +24,7 @@ from components.networks.checkpoint import (
 )
 from components.networks.cuda_graphs import graphed
 from components.networks.streams import LaneStreams
-from components.networks.training import Curves, TrainingLoop, adam, set_rate
+from components.networks.training import Curves, Schedule, TrainingLoop, adam
 
 __all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
 
@@ -112,9 +112,9 @@ class StackedFit(Generic[N]):
         self.best_loss = torch.full((lanes,), math.inf, device=device)
         self.stale = torch.zeros(lanes, device=device)  # validations since a lane's best
         self._loss, self._streams = loss, streams
-        self._rate, self._schedule = learning_rate, schedule
-        self._updates, self._rated = 1, -1
+        self._learning_rate, self._falls, self._updates = learning_rate, schedule == "cosine", 1
         self._optimizer = adam(list(network.parameters()), learning_rate, weight_decay)
+        self._schedule = Schedule(self._optimizer, self._rate)
 
     def run(
         self,
@@ -169,17 +169,15 @@ class StackedFit(Generic[N]):
     def stage(self, step: int) -> None:
         """Put a step's draws and learning rate in their place, for CUDA graphs to read."""
         self._streams.stage(step)
-        self._follow_schedule(step)
+        self._schedule.follow(step)
 
-    def _follow_schedule(self, step: int) -> None:
-        if self._schedule == "cosine" and step != self._rated:
-            falling = 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
-            set_rate(self._optimizer, self._rate * falling)
-            self._rated = step
+    def _rate(self, step: int) -> float:
+        falling = 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
+        return self._learning_rate * falling if self._falls else self._learning_rate
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One step of all lanes down their training losses."""
-        self._follow_schedule(step)
+        self._schedule.follow(step)
         loss, metrics = self._loss(self.network, self._streams.at(step))
         self._optimizer.zero_grad(set_to_none=True)
         loss.sum().backward()

@@ -18,7 +18,7 @@ from torch import Tensor
 from components.networks.checkpoint import load_tensors, save_tensors
 from components.networks.stacked import select_lanes
 
-__all__ = ["Curves", "Learner", "TrainingLoop", "adam", "set_rate"]
+__all__ = ["Curves", "Learner", "Schedule", "TrainingLoop", "adam"]
 
 
 class Learner(Protocol):
@@ -189,10 +189,27 @@ def adam(
     )
 
 
-def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Change the learning rate where the optimiser, or a graph of its steps, reads it."""
-    for group in optimizer.param_groups:
-        if isinstance(group["lr"], Tensor):
-            group["lr"].fill_(rate)
-        else:
-            group["lr"] = rate
+class Schedule:
+    """A learning rate that depends on the step.
+
+    It is written to where the optimiser, or a CUDA graph of its steps, reads it, and once per step:
+    a captured update finds it written and leaves it alone.
+
+    Args:
+        optimizer: Whose rate it is.
+        rate: Learning rate of every step.
+    """
+
+    def __init__(self, optimizer: torch.optim.Optimizer, rate: Callable[[int], float]) -> None:
+        self._optimizer, self._rate, self._step = optimizer, rate, -1
+
+    def follow(self, step: int) -> None:
+        """Set the rate of a step."""
+        if step == self._step:
+            return
+        self._step = step
+        for group in self._optimizer.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(self._rate(step))
+            else:
+                group["lr"] = self._rate(step)

@@ -13,6 +13,8 @@ from components.algorithms import ALGORITHMS
 from components.data.catalogue import DATASETS
 from components.models import MODELS
 from flows.composition import CONF
+from flows.pipeline.executors import RayExecutor
+from flows.session import make_executor
 from flows.settings import Settings, SettingsError, load_settings
 
 ROOT = Path(__file__).parents[2]
@@ -254,3 +256,10 @@ def test_bad_input_and_dry_runs_leave_nothing_behind(
 def test_penalties_without_their_algorithm_are_refused() -> None:
     with pytest.raises(SettingsError, match="mopo is not among the algorithms; add it"):
         load_settings(["mopo_penalties=[0,1]", "algorithms=[lion]"])
+
+
+def test_a_task_s_share_of_a_gpu_reaches_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    executor = make_executor(load_settings(["runner.gpu_share=0.1"]))
+    assert isinstance(executor, RayExecutor)
+    assert (executor.device, executor._gpus) == ("cuda", 0.1)

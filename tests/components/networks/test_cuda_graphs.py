@@ -27,7 +27,7 @@ UPDATES = 120
 
 
 def compare(make: Callable[[], Any]) -> None:
-    """Train two of a kind, one by graphs."""
+    """Train two of a kind, one by graphs: the same kernels, in workspaces of their own."""
     ordinary, graphed = make(), GraphedLearner(make(), GPU)
     before = {key: tensor.clone() for key, tensor in ordinary.state_dict().items()}
     for step in range(UPDATES):

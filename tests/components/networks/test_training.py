@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.networks.training import Curves, TrainingLoop, adam, set_rate
+from components.networks.training import Curves, Schedule, TrainingLoop, adam
 
 NAMES = ("a", "b", "c")
 DIGITS = {"a": 1.0, "b": 2.0, "c": 3.0}
@@ -154,10 +154,16 @@ def test_progress_rises_to_one() -> None:
 
 def test_a_learning_rate_changes_where_it_lies() -> None:
     plain = adam([torch.zeros(2, requires_grad=True)], 0.1)
-    set_rate(plain, 0.2)
+    Schedule(plain, lambda step: 0.1 * step).follow(2)
     assert plain.param_groups[0]["lr"] == 0.2
     rate = torch.tensor(0.1)
     stored = torch.optim.Adam([torch.zeros(2, requires_grad=True)], lr=rate, capturable=True)
-    set_rate(stored, 0.2)
+    schedule = Schedule(stored, lambda step: 0.1 * step)
+    schedule.follow(2)
     assert stored.param_groups[0]["lr"] is rate
     assert rate.item() == pytest.approx(0.2)
+    rate.fill_(7.0)  # a step's rate is written once: a captured update must not hold the writing
+    schedule.follow(2)
+    assert rate.item() == 7.0
+    schedule.follow(3)
+    assert rate.item() == pytest.approx(0.3)
