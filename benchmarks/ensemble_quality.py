@@ -16,11 +16,11 @@ import numpy as np
 import torch
 
 from benchmarks.measure import machine, markdown
-from components.data.catalogue import DATASETS, generate
-from components.models.recurrent_ensemble import RecurrentEnsembleConfig
-from components.models.recurrent_fit import fit_recurrent_ensemble
+from components.core.random_streams import lane_key
+from components.data.sources.catalogue import DATASETS, generate
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
+from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
 from components.models.supervised import Monitor, Series
-from components.networks import lane_key
 
 __all__ = ["REFERENCE", "first_good", "report"]
 

@@ -17,7 +17,7 @@ from benchmarks.scalar_industrial_benchmark import (
     ScalarIndustrialBenchmark,
     TunedScalarIndustrialBenchmark,
 )
-from components.environments.industrial_benchmark import IndustrialBenchmark
+from components.environments.industrial.benchmark import IndustrialBenchmark
 
 _PREPARED = 64
 

@@ -21,12 +21,12 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.measure import machine, markdown, median_seconds
-from components.data.robots import ROBOTS, make_robots
+from components.core.random_streams import lane_key
+from components.data.sources.robots import ROBOTS, make_robots
 from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
 from components.experts.training import without_denormals
-from components.networks import lane_key
-from flows.memory import keep_freed_memory
+from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["EagerDDPG", "lanes_program", "report"]
 

@@ -19,17 +19,18 @@ import torch
 from benchmarks.measure import machine, markdown, median_seconds
 from benchmarks.recurrent import FATIGUE_ALONE
 from components.algorithms import ALGORITHMS
-from components.algorithms.base import Ingredients
-from components.data.catalogue import DATASETS, generate
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator, lane_key, spawn_generators
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
-from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.networks import StackedMLP, lane_generator, lane_key, spawn_generators
-from components.networks.cuda_graphs import BranchingLearner, graphed
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Learner
-from flows.memory import keep_freed_memory
+from components.data.sources.catalogue import DATASETS, generate
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
+from components.networks import StackedMLP
+from components.policies.policy import Policy, PolicyCard
+from components.training.cuda_graphs import BranchingLearner, graphed
+from components.training.loop import Learner
+from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["UNTRAINED", "program", "report"]
 
@@ -57,7 +58,7 @@ def program(
         settings: Differences from the learner's default configuration.
     """
     module = ALGORITHMS[algorithm]
-    parts = Ingredients(
+    parts = LearnerInputs(
         data=LaneData([dataset] * len(seeds), device, module.FRAME_EPSILON),
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
         models={name: [UNTRAINED[name](dataset)] * len(seeds) for name in module.NEEDS},

@@ -35,10 +35,10 @@ from benchmarks.lanes import program
 from benchmarks.measure import machine, markdown
 from benchmarks.peer_d3rlpy import COUNTERPARTS
 from components.algorithms import ALGORITHMS
-from components.data.catalogue import DATASETS, generate
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
-from flows.memory import keep_freed_memory
+from components.data.sources.catalogue import DATASETS, generate
+from flows.tasks.memory import keep_freed_memory
 
 __all__ = [
     "PEER",

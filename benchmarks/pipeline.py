@@ -2,7 +2,7 @@
 
 `python -m benchmarks.pipeline [--nodes 40] [--repetitions 3]`. Half of the nodes read the other
 half; everything runs in this process, one after the other. Besides the serial runner that means a
-work folder, an artifact published whole, and, with the MLflow ledger, one run with parameters,
+work folder, an artifact published whole, and, with the MLflow tracker, one run with parameters,
 tags, metrics, a data set and the artifact. A second pass finds everything finished. Making the
 database and importing MLflow are left out: a sweep pays for them once.
 """
@@ -19,14 +19,14 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.measure import machine, markdown, median_seconds
-from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import write_json
-from flows.pipeline.ledger import MlflowLedger
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import Ledger, NullLedger, run_plan
+from flows.pipeline.runner import NullTracker, Tracker, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
+from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 
 __all__ = ["empty", "empty_plan", "report"]
 
@@ -64,9 +64,9 @@ def _own_database() -> Iterator[None]:
             os.environ["MLFLOW_TRACKING_URI"] = address
 
 
-def _run(plan: Plan, store: ArtifactStore, ledger: Ledger) -> None:
+def _run(plan: Plan, store: ArtifactStore, tracker: Tracker) -> None:
     display = Display(Console(file=io.StringIO()))
-    outcome = run_plan(plan, store, ledger, display, executor=SerialExecutor())
+    outcome = run_plan(plan, store, tracker, display, executor=SerialExecutor())
     if not outcome.complete or outcome.unrecorded:
         raise RuntimeError(f"An empty plan did not finish: {outcome}.")
 
@@ -83,21 +83,21 @@ def report(nodes: int = 40, repetitions: int = 3) -> str:
     """
     with tempfile.TemporaryDirectory() as folder, _own_database():
         store, bare = ArtifactStore(Path(folder) / "recorded"), ArtifactStore(Path(folder) / "bare")
-        ledger = MlflowLedger(store.root, source="benchmarks.pipeline")
-        ledger.open_sweep("empty")
+        tracker = MlflowTracker(store.root, source="benchmarks.pipeline")
+        tracker.open_sweep("empty")
         numbers = count()
 
-        def fresh(store: ArtifactStore, ledger: Ledger) -> Callable[[], None]:
-            return lambda: _run(empty_plan(nodes, next(numbers)), store, ledger)
+        def fresh(store: ArtifactStore, tracker: Tracker) -> Callable[[], None]:
+            return lambda: _run(empty_plan(nodes, next(numbers)), store, tracker)
 
         known = empty_plan(nodes, -1)
         runs = {
-            "computed, no ledger": fresh(bare, NullLedger()),
-            "computed, MLflow ledger": fresh(store, ledger),
-            "found finished, MLflow ledger": lambda: _run(known, store, ledger),
+            "computed, no tracker": fresh(bare, NullTracker()),
+            "computed, MLflow tracker": fresh(store, tracker),
+            "found finished, MLflow tracker": lambda: _run(known, store, tracker),
         }
         seconds = median_seconds(runs, repetitions)
-        ledger.close_sweep("FINISHED")
+        tracker.close_sweep("FINISHED")
     rows = [[name, f"{1e3 * value / nodes:,.1f}"] for name, value in seconds.items()]
     return markdown(["empty node", "ms per node"], rows)
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.measure import machine, markdown, median_seconds
-from components.models.recurrent_ensemble import (
+from components.models.recurrent_ensemble.ensemble import (
     Feedback,
     RecurrentEnsembleConfig,
     predict_windows,

@@ -16,13 +16,14 @@ import numpy as np
 import torch
 
 from benchmarks.measure import machine, markdown, median_seconds
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator
 from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
-from components.environments.batch import make_batch
-from components.environments.robot_specs import simulator_version
+from components.environments.mujoco.specifications import simulator_version
+from components.environments.systems import make_batch
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
-from components.networks import StackedMLP, lane_generator
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
+from components.networks import StackedMLP
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["evaluated", "plain_returns", "report", "untrained_policy"]
 

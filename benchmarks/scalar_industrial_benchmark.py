@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from components.environments.goldstone import SAFE_ZONE, latent_step, potential
+from components.environments.industrial.goldstone import SAFE_ZONE, latent_step, potential
 
 __all__ = ["GeneratorDraws", "ScalarIndustrialBenchmark", "TunedScalarIndustrialBenchmark"]
 

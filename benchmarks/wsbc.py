@@ -19,15 +19,15 @@ from torch import Tensor
 
 from benchmarks.lanes import UNTRAINED, program
 from benchmarks.measure import machine, markdown, median_seconds
-from components.algorithms.base import first_rows
+from components.algorithms.parts.learner import first_rows
 from components.algorithms.wsbc import Config
-from components.data.catalogue import DATASETS, generate
-from components.data.lanes import LaneData
-from components.data.machine import MachineRule
-from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.networks.policy import Policy
-from components.networks.training import Learner
-from flows.memory import keep_freed_memory
+from components.data.batches import LaneData
+from components.data.dynamics import DynamicsSpecification
+from components.data.sources.catalogue import DATASETS, generate
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
+from components.policies.policy import Policy
+from components.training.loop import Learner
+from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["plain_return", "report"]
 
@@ -41,7 +41,7 @@ _TIMED = 5  # particles of the plain loop
 def plain_return(
     policy: Policy,
     ensemble: RecurrentEnsemble,
-    rule: MachineRule,
+    rule: DynamicsSpecification,
     start: Tensor,
     horizon: int,
     discount: float,
@@ -133,7 +133,7 @@ def report(
     dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
     policy = UNTRAINED["behaviour_policy"](dataset)
     ensemble = UNTRAINED["recurrent_ensemble"](dataset)
-    rule, data = MachineRule.of_card(dataset.card), LaneData([dataset], place)
+    rule, data = DynamicsSpecification.of_card(dataset.card), LaneData([dataset], place)
     rows = first_rows(dataset, config.start_window)[: config.starts]
     [start] = data.denormalise_history(data.observations(torch.from_numpy(rows).to(place)[None]))
     timed = min(_TIMED, config.particles)

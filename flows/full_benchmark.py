@@ -16,14 +16,14 @@ from components.reporting.tables import (
     result_rows,
     results_csv,
 )
-from flows.benchmark import benchmark_plan, model_choice, sweep_name
+from flows.command_line import Metrics, main, run_sweep
+from flows.configuration.settings import Settings
 from flows.pipeline.files import write_text
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
+from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.render import film_command
-from flows.session import Metrics, main, run_sweep
-from flows.settings import Settings
 
 __all__ = ["write_report"]
 
@@ -99,9 +99,9 @@ def _films(done: Sequence[Node], drawable: Collection[str]) -> list[str]:
         if node.component != "policy_training" or node.tags["dataset"] not in drawable:
             continue
         name = node.name.rpartition("/")[0]
-        steered = ALGORITHMS[node.config["algorithm"]].TAKES_LAMBDA
+        takes_proximity = ALGORITHMS[node.config["algorithm"]].TAKES_LAMBDA
         # the key, since a name may be shared with other sweeps
-        shown.setdefault(name, film_command(node.key, name, steered))
+        shown.setdefault(name, film_command(node.key, name, takes_proximity))
     return [f"To watch {name}: `{command}`" for name, command in shown.items()]
 
 

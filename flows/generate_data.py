@@ -8,12 +8,12 @@ from pathlib import Path
 
 from components.data.dataset import OfflineDataset
 from components.data.minari_exchange import export_minari, minari_id
-from flows.benchmark import data_plan, sweep_name
+from flows.command_line import Metrics, main, run_sweep
+from flows.configuration.settings import Settings
 from flows.pipeline.files import read_json, write_json
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.session import Metrics, main, run_sweep
-from flows.settings import Settings
+from flows.planning.benchmark import data_plan, sweep_name
 
 HELP = """\
 usage: python -m flows.generate_data [KEY=VALUE ...]

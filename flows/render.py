@@ -14,12 +14,12 @@ from pydantic import Field
 
 from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
-from components.networks.policy import Policy
-from flows.checking import SettingsError, build_config
-from flows.pipeline.mlflow_setup import import_mlflow
+from components.policies.policy import Policy
+from flows.command_line import run_door
+from flows.configuration.checking import SettingsError, build_config
+from flows.configuration.sections import Strict
 from flows.pipeline.store import ArtifactStore
-from flows.sections import Strict
-from flows.session import run_door
+from flows.pipeline.tracking.mlflow_setup import import_mlflow
 
 __all__ = ["RenderSettings", "film_command", "find_policy", "load_render_settings"]
 
@@ -131,7 +131,7 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
         says = "needs lambda; add e.g. lambda=0.5" if card.takes_lambda else "takes no lambda"
         raise SettingsError(f"run={settings.run}: a policy of {card.algorithm} {says}.")
     last = policy.select(slice(policy.lanes - 1, policy.lanes), card)
-    steering = None if settings.proximity is None else torch.tensor([[settings.proximity]])
+    proximity = None if settings.proximity is None else torch.tensor([[settings.proximity]])
     generator = np.random.default_rng(settings.seed)
 
     def act(frames: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
             drawn = generator.standard_normal((1, 1, card.candidates, card.noise), np.float32)
             noise = torch.from_numpy(drawn)
         seen = torch.from_numpy(frames).float()[None]
-        return last.act(seen, steering, noise)[0, 0].numpy()
+        return last.act(seen, proximity, noise)[0, 0].numpy()
 
     return act
 

@@ -8,13 +8,13 @@ during training, becomes the expert.
 from dataclasses import asdict
 from pathlib import Path
 
-from components.data.experts.shipped import SHIPPED, Expert
-from flows.benchmark import plain, sweep_name
+from components.data.controllers.trained.shipped import SHIPPED, Expert
+from flows.command_line import Metrics, main, run_sweep
+from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.session import Metrics, main, run_sweep
-from flows.settings import Settings
+from flows.planning.benchmark import plain, sweep_name
 
 __all__ = ["expert_plan"]
 
@@ -62,7 +62,7 @@ def expert_plan(settings: Settings) -> Plan:
             f"seed{seed}": Node(
                 component="expert_training",
                 name=f"expert/{robot}/seed{seed}",
-                task="flows.expert_tasks:train_expert",
+                task="flows.tasks.experts:train_expert",
                 version=COMPONENTS["expert_training"],
                 config={**shared, "seed": seed},
                 tags={"robot": robot, "seed": str(seed)},
@@ -75,7 +75,7 @@ def expert_plan(settings: Settings) -> Plan:
             Node(
                 component="expert_choice",
                 name=f"expert/{robot}",
-                task="flows.expert_tasks:choose_expert",
+                task="flows.tasks.experts:choose_expert",
                 version=COMPONENTS["expert_choice"],
                 config={**shared, "seeds": sorted(experts.seeds), "episodes": experts.episodes},
                 inputs=trained,

@@ -15,17 +15,17 @@ from pathlib import Path
 
 from optuna.trial import TrialState
 
-from flows.benchmark import check_lengths, data_plan, model_node, sweep_name
-from flows.model_choice import tuned_folder
+from flows.command_line import Metrics, command_words, main, make_executor, run_sweep
+from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
-from flows.session import Metrics, command_words, main, make_executor, run_sweep
-from flows.settings import Settings
-from flows.tuning.ledger import TrialLedger
+from flows.planning.benchmark import check_lengths, data_plan, model_node, sweep_name
+from flows.planning.model_choice import tuned_folder
 from flows.tuning.search import search
 from flows.tuning.space import PASTS, SPACES
 from flows.tuning.study import Study, Subject, ended_trials, open_journal
+from flows.tuning.trial_tracker import TrialTracker
 from flows.tuning.tuned_file import TunedModel, write_tuned
 
 HELP = """\
@@ -144,8 +144,8 @@ def _run(settings: Settings) -> int:
     name = settings.sweep or f"tune-{digest([subject.name for subject in found], 4)}"
     command = shlex.join(["python", *command_words()])
     console.note(f"Search {name} in {settings.store}/; journal {_journal(settings)}")
-    ledger = TrialLedger(settings.store, source=command_words()[1])
-    ledger.open_sweep(
+    tracker = TrialTracker(settings.store, source=command_words()[1])
+    tracker.open_sweep(
         name,
         {"profile": settings.profile_name, "command": command, "kind": "search"},
         {
@@ -172,7 +172,7 @@ def _run(settings: Settings) -> int:
             studies,
             settings.tuning.trials,
             store,
-            ledger,
+            tracker,
             make_executor(settings),
             console.note,
             finished,
@@ -180,7 +180,7 @@ def _run(settings: Settings) -> int:
         status = outcome.status
     finally:
         with suppress(KeyboardInterrupt):
-            ledger.close_sweep(status, files, _curves(studies))
+            tracker.close_sweep(status, files, _curves(studies))
     for line in verdicts.values():
         print(line)
     _explain(console, command, outcome.interrupted, outcome.failed, outcome.unrecorded)

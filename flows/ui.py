@@ -11,7 +11,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from flows.pipeline.mlflow_setup import EXPERIMENT, make_database
+from flows.pipeline.tracking.mlflow_setup import EXPERIMENT, make_database
 
 __all__ = ["runs_address", "server_command"]
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from components.environments.industrial_benchmark import IndustrialBenchmark
-from components.environments.noise import squash
+from components.environments.industrial.benchmark import IndustrialBenchmark
+from components.environments.industrial.noise import squash
 
 __all__ = ["COLUMNS", "TOLERANCE", "RecordedNoise", "main", "read_recording", "replay"]
 

@@ -27,15 +27,15 @@ from benchmarks import (
 )
 from components.algorithms import ALGORITHMS
 from components.algorithms import wsbc as wsbc_learner
-from components.data.catalogue import DATASETS, generate
+from components.core.random_streams import LaneStreams
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
+from components.data.sources.catalogue import DATASETS, generate
 from components.environments import HOPPER_ID
 from components.evaluation.real import EvaluationConfig
 from components.experts.online import ExpertConfig
-from components.models.recurrent_ensemble import RecurrentEnsembleConfig
-from components.models.rollout import MachineRule
-from components.networks import LaneStreams
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
+from components.models.transition.model_environment import DynamicsSpecification
 
 TINY = RecurrentEnsembleConfig(members=2, hidden=5, warm_up=4, horizon=6, batch=7)
 SETTINGS = {
@@ -200,7 +200,7 @@ def test_the_plain_loop_of_a_policy_s_return_computes_what_the_swarm_does() -> N
     learner = lanes.program("wsbc", dataset, [0], torch.device("cpu"), **settings)
     found = learner.update(0)["policy/virtual_return"]
     policy, ensemble = (lanes.UNTRAINED[n](dataset) for n in wsbc_learner.NEEDS)
-    rule = MachineRule.of_card(dataset.card)
+    rule = DynamicsSpecification.of_card(dataset.card)
     plain = wsbc.plain_return(policy, ensemble, rule, learner._history[0], 5, 0.97)
     # 34 recurrent steps of float32 sums in another order
     torch.testing.assert_close(plain, found[0], rtol=1e-5, atol=0)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
-from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
+from components.core.random_streams import LaneStreams, spawn_generators
+from components.networks import StackedMLP, lanewise_mean
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -48,7 +49,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of clones, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._data = data = parts.data
         self.lanes = data.lanes
         sizes = (data.observation_width, *config.hidden, data.action_width)

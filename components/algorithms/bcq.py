@@ -28,20 +28,24 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
-from components.data.lanes import Batch
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    adam_each,
+    descend,
+    saturation,
+)
+from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
+from components.data.batches import Batch
 from components.networks import (
     Critics,
-    LaneStreams,
     StackedMLP,
     lanewise_mean,
-    normal_draw,
     polyak_update,
     soft_clipped_maximum,
-    spawn_generators,
 )
-from components.networks.policy import Policy, PolicyCard
 from components.networks.variational import ConditionalVAE
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -91,7 +95,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of BCQ learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device, keys = parts.data, parts.data.device, parts.keys
         self.lanes = data.lanes

@@ -37,26 +37,25 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from components.algorithms.base import (
-    Ingredients,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
     Scalars,
     StackedLearner,
     adam_each,
     descend,
     saturation,
 )
-from components.data.lanes import Batch
+from components.core.random_streams import LaneStreams, normal_draw
+from components.data.batches import Batch
 from components.networks import (
     Critics,
-    LaneStreams,
     TanhGaussian,
     lanewise_mean,
-    normal_draw,
     polyak_update,
     soft_clipped_maximum,
 )
-from components.networks.policy import Policy, PolicyCard
 from components.networks.variational import ConditionalVAE
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = [
     "FRAME_EPSILON",
@@ -146,7 +145,7 @@ def mean_discrepancy(x: Tensor, y: Tensor, kernel: str, sigma: float) -> Tensor:
 class Learner(StackedLearner):
     """A stack of BEAR learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device, keys = parts.data, parts.data.device, parts.keys
         self.lanes = data.lanes

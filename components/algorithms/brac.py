@@ -31,25 +31,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import (
-    Ingredients,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
     Scalars,
     StackedLearner,
     adam_each,
     descend,
     saturation,
 )
-from components.data.lanes import Batch
-from components.networks import (
-    Critics,
-    LaneStreams,
-    TanhGaussian,
-    lanewise_mean,
-    normal_draw,
-    polyak_update,
-)
+from components.core.random_streams import LaneStreams, normal_draw
+from components.data.batches import Batch
+from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.networks.gaussian import Sample, log_density, raw_actions
-from components.networks.policy import Policy, PolicyCard
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -106,7 +100,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of BRAC-v learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device, keys = parts.data, parts.data.device, parts.keys
         self.lanes = data.lanes

@@ -36,8 +36,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from components.algorithms.base import (
-    Ingredients,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
     Scalars,
     StackedLearner,
     adam_each,
@@ -45,18 +45,11 @@ from components.algorithms.base import (
     gather_gradients,
     saturation,
 )
-from components.data.lanes import Batch
-from components.networks import (
-    Critics,
-    LaneStreams,
-    TanhGaussian,
-    lane_groups,
-    lanewise_mean,
-    normal_draw,
-    polyak_update,
-)
+from components.core.random_streams import LaneStreams, normal_draw
+from components.data.batches import Batch
+from components.networks import Critics, TanhGaussian, lane_groups, lanewise_mean, polyak_update
 from components.networks.gaussian import log_density, raw_actions
-from components.networks.policy import Policy, PolicyCard
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -104,7 +97,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of CQL learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device, keys = parts.data, parts.data.device, parts.keys
         self.lanes = data.lanes

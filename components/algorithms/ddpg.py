@@ -28,17 +28,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
-from components.data.lanes import Batch
-from components.networks import (
-    Critics,
-    LaneStreams,
-    StackedMLP,
-    lanewise_mean,
-    polyak_update,
-    spawn_generators,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    adam_each,
+    descend,
+    saturation,
 )
-from components.networks.policy import Policy, PolicyCard
+from components.core.random_streams import LaneStreams, spawn_generators
+from components.data.batches import Batch
+from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = [
     "FRAME_EPSILON",
@@ -155,7 +155,7 @@ class ActorCritic(StackedLearner):
 class Learner(ActorCritic):
     """A stack of DDPG learners on logged data, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._data = data = parts.data
         super().__init__(config, parts.keys, data.observation_width, data.action_width, data.device)
         draws = {"row": data.row_draw(config.batch)}

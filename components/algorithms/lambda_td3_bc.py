@@ -21,10 +21,11 @@ import torch
 from torch import Tensor
 
 from components.algorithms import td3_bc
-from components.algorithms.base import Ingredients
-from components.data.lanes import Batch
-from components.networks import Draw, lanewise_mean
-from components.networks.policy import LAMBDA_SCALING
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.random_streams import Draw
+from components.data.batches import Batch
+from components.networks import lanewise_mean
+from components.policies.policy import PROXIMITY_SCALING
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -54,11 +55,11 @@ class Config(td3_bc.Config):
 class Learner(td3_bc.Learner):
     """A stack of lambda-TD3+BC learners, one lane per (dataset, seed)."""
 
-    _steered = 1
+    _further_inputs = 1
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         super().__init__(config, parts)
-        self._steering = LAMBDA_SCALING.to(parts.data.device)
+        self._proximity_scaling = PROXIMITY_SCALING.to(parts.data.device)
 
     def _draws(self) -> dict[str, Draw]:
         shape = self._config.batch
@@ -69,14 +70,14 @@ class Learner(td3_bc.Learner):
 
     # -- networks ---------------------------------------------------------------------------
 
-    def _steer(self, observations: Tensor, proximity: Tensor) -> Tensor:
+    def _with_proximity(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Observations ``[L, B, O + 1]`` with lambda ``[L, B]`` as their last entry."""
-        steered = self._steering.apply(proximity[..., None])
-        return torch.cat([observations, steered], dim=-1)
+        scaled = self._proximity_scaling.apply(proximity[..., None])
+        return torch.cat([observations, scaled], dim=-1)
 
     def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
-        return torch.tanh(self._actor(self._steer(observations, proximity)))
+        return torch.tanh(self._actor(self._with_proximity(observations, proximity)))
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -84,10 +85,10 @@ class Learner(td3_bc.Learner):
         batch = super()._batch(drawn)
         return replace(
             batch,
-            observations=self._steer(batch.observations, drawn["proximity"]),
-            next_observations=self._steer(batch.next_observations, drawn["proximity"]),
+            observations=self._with_proximity(batch.observations, drawn["proximity"]),
+            next_observations=self._with_proximity(batch.next_observations, drawn["proximity"]),
         )
 
     def _weigh(self, batch: Batch, gain: Tensor, distance: Tensor) -> Tensor:
-        proximity = self._steering.invert(batch.observations[..., -1:]).squeeze(-1)
+        proximity = self._proximity_scaling.invert(batch.observations[..., -1:]).squeeze(-1)
         return lanewise_mean((1.0 - proximity) * distance - proximity * gain)

@@ -22,13 +22,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, descend
-from components.algorithms.virtual_returns import VirtualReturns
-from components.models.rollout import discounted_sum
-from components.networks import Draw, LaneStreams, StackedMLP, lanewise_mean, spawn_generators
-from components.networks.deployment import KINDS
-from components.networks.policy import LAMBDA_SCALING, Policy, PolicyCard
-from components.networks.training import adam
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend
+from components.algorithms.parts.virtual_returns import VirtualReturns
+from components.core.random_streams import Draw, LaneStreams, spawn_generators
+from components.models.transition.model_environment import discounted_sum
+from components.networks import StackedMLP, lanewise_mean
+from components.policies.deployment import KINDS
+from components.policies.policy import PROXIMITY_SCALING, Policy, PolicyCard
+from components.training.loop import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -75,7 +76,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of LION policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
@@ -87,7 +88,7 @@ class Learner(StackedLearner):
         self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
         self._networks = {"policy": self._network}
         self._optimizers = {"policy": self._optimizer}
-        self._steering = LAMBDA_SCALING.to(device)
+        self._proximity_scaling = PROXIMITY_SCALING.to(device)
         self._streams = LaneStreams(parts.keys, self._draws(), device)
 
     def _draws(self) -> dict[str, Draw]:
@@ -104,8 +105,8 @@ class Learner(StackedLearner):
 
     def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
-        steered = self._steering.apply(proximity[..., None])
-        return torch.tanh(self._network(torch.cat([observations, steered], dim=-1)))
+        scaled = self._proximity_scaling.apply(proximity[..., None])
+        return torch.tanh(self._network(torch.cat([observations, scaled], dim=-1)))
 
     def _behaviour_act(self, observations: Tensor) -> Tensor:
         """Actions of the clones, differentiable in the observations."""

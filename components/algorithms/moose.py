@@ -31,21 +31,20 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, gather_gradients, saturation
-from components.models.action_vae import ActionReconstruction, ActionVAE
-from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
-from components.models.rollout import VirtualMachine, discounted_sum
-from components.networks import (
-    LaneStreams,
-    StackedMLP,
-    lane_groups,
-    lanewise_mean,
-    normal_draw,
-    spawn_generators,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    gather_gradients,
+    saturation,
 )
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
+from components.core.normaliser import Normaliser
+from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
+from components.models.action_vae import ActionReconstruction, ActionVAE
+from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
+from components.models.transition.model_environment import ModelEnvironment, discounted_sum
+from components.networks import StackedMLP, lane_groups, lanewise_mean
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner", "mixed_return"]
 
@@ -109,14 +108,14 @@ class _Part:
 
     lanes: slice
     actor: StackedMLP
-    machine: VirtualMachine
+    machine: ModelEnvironment
     reconstruct: ActionReconstruction
 
 
 class Learner(StackedLearner):
     """A stack of MOOSE policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
@@ -133,7 +132,7 @@ class Learner(StackedLearner):
             seen = data.frame_scaling
             scaling = Normaliser(seen.mean[lanes], seen.scale[lanes])
             model = MLPTransition(ensembles[lanes], scaling, device)
-            machine = VirtualMachine(model, parts.machine, scaling, device)
+            machine = ModelEnvironment(model, parts.machine, scaling, device)
             reconstruct = ActionReconstruction(autoencoders[lanes], scaling, device)
             self._parts.append(_Part(lanes, actor, machine, reconstruct))
         acting = ensembles[0].members * config.trajectories

@@ -15,7 +15,7 @@ task: it is read off the dataset's card, ``machine["healthy"]``, ranges of frame
 this algorithm looks at. A card without one tells of a machine that never falls.
 
 The ring keeps the last ``retained_rollouts`` roll-outs. An update is one step of
-:mod:`~components.algorithms.soft_actor_critic` on a batch of which a share ``real_ratio`` was
+:mod:`~components.algorithms.parts.soft_actor_critic` on a batch of which a share ``real_ratio`` was
 logged, with its rewards as they are, and the rest is virtual.
 
 Where references disagree: the authors' rates of 3e-4 and target entropy -3 (there for all tasks,
@@ -39,18 +39,18 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients
-from components.algorithms.model_buffer import ModelBuffer
-from components.algorithms.soft_actor_critic import SoftActorCritic
-from components.data.lanes import Batch, LaneData
-from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
-from components.models.rollout import (
+from components.algorithms.parts.learner import LearnerInputs
+from components.algorithms.parts.model_buffer import ModelBuffer
+from components.algorithms.parts.soft_actor_critic import SoftActorCritic
+from components.core.random_streams import LaneStreams, normal_draw
+from components.data.batches import Batch, LaneData
+from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
+from components.models.transition.model_environment import (
+    ModelEnvironment,
     Prediction,
     PredictionRange,
-    VirtualMachine,
-    VirtualStep,
+    RolloutStep,
 )
-from components.networks import LaneStreams, normal_draw
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -113,7 +113,7 @@ class Config:
 class Learner(SoftActorCritic):
     """A stack of MOPO learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config = config
         data, device, keys = parts.data, parts.data.device, parts.keys
         super().__init__(
@@ -126,7 +126,7 @@ class Learner(SoftActorCritic):
         )
         ensembles = parts.fitted("gaussian_ensemble", MLPEnsemble)
         self._model = MLPTransition(ensembles, data.frame_scaling, device)
-        self._machine = VirtualMachine(
+        self._machine = ModelEnvironment(
             self._model, parts.machine, data.frame_scaling, device, config.prediction_range
         )
         self._healthy = healthy_ranges(data)
@@ -162,7 +162,7 @@ class Learner(SoftActorCritic):
 
     # -- virtual trajectories -----------------------------------------------------------------
 
-    def _unroll(self, drawn: Mapping[str, Tensor]) -> Iterator[VirtualStep]:
+    def _unroll(self, drawn: Mapping[str, Tensor]) -> Iterator[RolloutStep]:
         """The current policies' steps, from recorded states on."""
         noise = iter(drawn["action"].unbind(dim=2))
 
@@ -220,7 +220,7 @@ class Learner(SoftActorCritic):
             "model/outside_share": outside.mean(dim=1),
         } | {f"model/penalty_{percent}": percentile(doubt, percent) for percent in PERCENTILES}
 
-    def _ended(self, steps: Sequence[VirtualStep]) -> Tensor | None:
+    def _ended(self, steps: Sequence[RolloutStep]) -> Tensor | None:
         """First step of trajectories after which they have fallen, or T: ``[L, N]``."""
         if self._healthy is None:
             return None
@@ -229,7 +229,7 @@ class Learner(SoftActorCritic):
         stands = ((low < frames) & (frames < high)).all(dim=-1)
         return stands.long().cumprod(dim=0).sum(dim=0)
 
-    def _outside(self, step: VirtualStep) -> Tensor:
+    def _outside(self, step: RolloutStep) -> Tensor:
         """1 where a frame was drawn outside the range of the training data, else 0: ``[L, B]``."""
         low, high = (t[:, :, None, None] for t in (self._model.low, self._model.high))
         beyond = (step.drawn < low) | (step.drawn > high)

@@ -45,32 +45,39 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.algorithms.advantages import (
+from components.algorithms.parts.advantages import (
     Baseline,
     discounted_returns,
     generalised_advantages,
     whitened,
 )
-from components.algorithms.base import Ingredients, StackedLearner, descend, first_rows, saturation
-from components.algorithms.halting import (
-    Detector,
-    Halted,
-    PessimisticMachine,
-    Trajectories,
-    live_samples,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    descend,
+    first_rows,
+    saturation,
 )
-from components.algorithms.natural_gradient import (
+from components.algorithms.parts.natural_gradient import (
     LOG_STD_RANGE,
     FisherProduct,
     GaussianPolicy,
     natural_step,
     policy_gradient,
 )
-from components.models.mlp_ensemble import MLPEnsemble, MLPTransition
-from components.models.rollout import VirtualMachine
-from components.networks import Draw, LaneStreams, lanewise_mean, normal_draw
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
+from components.algorithms.parts.pessimistic_mdp import (
+    Detector,
+    Halted,
+    PessimisticMDP,
+    Trajectories,
+    live_samples,
+)
+from components.core.random_streams import Draw, LaneStreams, normal_draw
+from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
+from components.models.transition.model_environment import ModelEnvironment
+from components.networks import lanewise_mean
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -147,18 +154,18 @@ class _Rollouts:
 class Learner(StackedLearner):
     """A stack of MOReL learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device, keys = parts.data, parts.data.device, parts.keys
         self.lanes = data.lanes
         ensembles = parts.fitted("residual_ensemble", MLPEnsemble)
         model = MLPTransition(ensembles, data.frame_scaling, device)
-        machine = VirtualMachine(model, parts.machine, data.frame_scaling, device)
+        machine = ModelEnvironment(model, parts.machine, data.frame_scaling, device)
         self._detector = Detector(machine, data, config.beta).to(device)
         followed = torch.arange(model.members, device=device).repeat_interleave(config.trajectories)
         self._batch = len(followed)  # B
         least = [float(dataset.rewards.min()) for dataset in data.datasets]
-        self._machine = PessimisticMachine(
+        self._machine = PessimisticMDP(
             machine,
             self._detector,
             followed.expand(config.horizon, self.lanes, -1),

@@ -24,13 +24,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from components.algorithms.base import Ingredients, StackedLearner, descend, saturation
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
+from components.core.normaliser import Normaliser
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.dataset import OfflineDataset
 from components.data.returns import window_returns
-from components.networks import LaneStreams, StackedMLP, lanewise_mean, spawn_generators
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import adam
+from components.networks import StackedMLP, lanewise_mean
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import adam
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -91,7 +92,7 @@ class _Head(nn.Module):
 class Learner(StackedLearner):
     """A stack of RvS-R policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._data = data = parts.data
         device, self.lanes = data.device, data.lanes
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
@@ -101,7 +102,7 @@ class Learner(StackedLearner):
         learned = [*self._actor.parameters(), *self._head.parameters()]
         self._optimizers = {"actor": adam(learned, config.learning_rate)}
         windows = [_achieved(dataset, config) for dataset in data.datasets]
-        scaled, steering = [], []
+        scaled, scalings = [], []
         for rows, returns in windows:
             scaling = Normaliser.fit(returns[:, None])
             everywhere = np.zeros(max(data.counts), np.float32)
@@ -109,9 +110,9 @@ class Learner(StackedLearner):
             scaled.append(torch.from_numpy(everywhere))
             # lambda 0 asks for the mean and lambda 1 for the best: affine in the scaled return.
             best = torch.tensor([returns.max() - returns.mean()]).float().clamp(min=1e-6)
-            steering.append(Normaliser(torch.zeros(1), scaling.scale / best))
+            scalings.append(Normaliser(torch.zeros(1), scaling.scale / best))
         self._returns = torch.stack(scaled).to(device)  # [L, N], scaled
-        self._steering = Normaliser.stack(steering).to(device)  # [L, 1]
+        self._proximity_scaling = Normaliser.stack(scalings).to(device)  # [L, 1]
         batch = config.batch
         self._streams = LaneStreams(
             parts.keys,
@@ -128,7 +129,7 @@ class Learner(StackedLearner):
 
     def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
         """Deployed actions ``[L, B, A]`` for ``proximity [L, B]``."""
-        wanted = (proximity - self._steering.mean) / self._steering.scale
+        wanted = (proximity - self._proximity_scaling.mean) / self._proximity_scaling.scale
         return self._means(observations, wanted).clamp(-1.0, 1.0)
 
     # -- update -----------------------------------------------------------------------------
@@ -157,5 +158,5 @@ class Learner(StackedLearner):
             replace(card, kind="clipped"),
             {"actor": self._actor.affine()},
             self._data.frame_scaling,
-            self._steering,
+            self._proximity_scaling,
         )

@@ -21,19 +21,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, adam_each, descend, saturation
-from components.data.lanes import Batch
-from components.networks import (
-    Critics,
-    Draw,
-    LaneStreams,
-    StackedMLP,
-    lanewise_mean,
-    normal_draw,
-    polyak_update,
-    spawn_generators,
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    adam_each,
+    descend,
+    saturation,
 )
-from components.networks.policy import Policy, PolicyCard
+from components.core.random_streams import Draw, LaneStreams, normal_draw, spawn_generators
+from components.data.batches import Batch
+from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -77,13 +75,13 @@ class Config:
 class Learner(StackedLearner):
     """A stack of TD3+BC learners, one lane per (dataset, seed)."""
 
-    _steered = 0  # further inputs of all networks, behind the observation
+    _further_inputs = 0  # of all networks, behind the observation
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
-        seen = data.observation_width + self._steered
+        seen = data.observation_width + self._further_inputs
         sizes = (seen, *config.hidden, data.action_width)
         self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
         self._critics = Critics(parts.keys, seen, data.action_width, config.hidden).to(device)

@@ -33,14 +33,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from components.algorithms.base import Ingredients, StackedLearner, first_rows
-from components.algorithms.particle_swarm import Swarm, SwarmRule
-from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.models.recurrent_transition import RecurrentTransition
-from components.models.rollout import VirtualMachine, discounted_sum
-from components.networks import LaneStreams, spawn_generators
-from components.networks.deployment import KINDS, Layers
-from components.networks.policy import Policy, PolicyCard
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, first_rows
+from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
+from components.core.random_streams import LaneStreams, spawn_generators
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
+from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.transition.model_environment import ModelEnvironment, discounted_sum
+from components.policies.deployment import KINDS, Layers
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
 
@@ -100,14 +100,14 @@ class Config:
 class Learner(StackedLearner):
     """A stack of WSBC swarms, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: Ingredients) -> None:
+    def __init__(self, config: Config, parts: LearnerInputs) -> None:
         self._config, self._data = config, parts.data
         data, device = parts.data, parts.data.device
         self.lanes = data.lanes
         clones = parts.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
         ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
-        self._machine = VirtualMachine(
+        self._machine = ModelEnvironment(
             RecurrentTransition(ensembles, device), parts.machine, self._behaviour.frames, device
         )
         starts = self._starts(parts.keys)

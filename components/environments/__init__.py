@@ -19,8 +19,8 @@ WALKER2D_ID = "proximity/Walker2d-v0"
 if INDUSTRIAL_BENCHMARK_ID not in gym.registry:
     gym.register(
         id=INDUSTRIAL_BENCHMARK_ID,
-        entry_point="components.environments.gymnasium_api:IndustrialBenchmarkEnv",
-        vector_entry_point="components.environments.gymnasium_api:IndustrialBenchmarkVectorEnv",
+        entry_point="components.environments.industrial.gymnasium_api:IndustrialBenchmarkEnv",
+        vector_entry_point="components.environments.industrial.gymnasium_api:IndustrialBenchmarkVectorEnv",
         max_episode_steps=1000,
     )
     for _robot, _class in (
@@ -30,6 +30,6 @@ if INDUSTRIAL_BENCHMARK_ID not in gym.registry:
     ):
         gym.register(
             id=_robot,
-            entry_point=f"components.environments.robot_gymnasium:{_class}",
+            entry_point=f"components.environments.mujoco.gymnasium_api:{_class}",
             max_episode_steps=1000,
         )

@@ -16,10 +16,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.environments.batch import make_batch
+from components.core.random_streams import lane_generator, lane_key
 from components.environments.frame_history import FrameHistory
-from components.networks.policy import Policy
-from components.networks.streams import lane_generator, lane_key
+from components.environments.systems import make_batch
+from components.policies.policy import Policy
 
 __all__ = ["EvaluationConfig", "PolicyReturns", "evaluate_policies"]
 
@@ -97,14 +97,14 @@ def evaluate_policies(
     Returns:
         One result per stack.
     """
-    steered = policies[0].card.takes_lambda
-    grid = config.lambdas if steered else (float("nan"),)
+    takes_proximity = policies[0].card.takes_lambda
+    grid = config.lambdas if takes_proximity else (float("nan"),)
     snapshots, repeats = policies[0].lanes, config.trajectories
     per_policy = len(grid) * repeats
     actors = Policy.concatenate(policies[0].card, policies).to(device)
     clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
-    proximity = torch.tensor(grid, device=device).repeat_interleave(repeats)
-    steering = proximity.expand(actors.lanes, -1) if steered else None
+    grid_values = torch.tensor(grid, device=device).repeat_interleave(repeats)
+    proximity = grid_values.expand(actors.lanes, -1) if takes_proximity else None
     machines = [
         make_batch(environment, snapshots * per_policy, threads, **parameters) for _ in policies
     ]
@@ -124,7 +124,7 @@ def evaluate_policies(
         if actors.card.candidates:
             fresh = [generator.standard_normal(drawn, np.float32) for generator in noises]
             noise = torch.from_numpy(np.concatenate(fresh)).to(device)
-        actions = actors.act(seen, steering, noise).view(*shape, -1)
+        actions = actors.act(seen, proximity, noise).view(*shape, -1)
         away: Tensor = torch.linalg.vector_norm(actions - clones.act(windows), dim=-1)
         np.add(distance, away.cpu().numpy(), out=distance, where=running)
         visited += running

@@ -24,10 +24,11 @@ import torch
 from torch import Tensor
 
 from components.algorithms import ddpg
-from components.environments.robots import Robots
+from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
+from components.core.tensors import module_state, with_prefix
+from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
-from components.networks import LaneStreams, StackedMLP, lane_generator, lane_key, normal_draw
-from components.networks.checkpoint import module_state, with_prefix
+from components.networks import StackedMLP
 
 __all__ = ["ExpertConfig", "OnlineDDPG"]
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.data.lanes import Batch
+from components.data.batches import Batch
 
 __all__ = ["Replay"]
 

@@ -14,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from components.environments.robots import Robots
-from components.experts.judging import episode_rewards
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator, lane_key
+from components.environments.mujoco.robots import Robots
+from components.experts.episodes import episode_rewards
 from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
-from components.networks import StackedMLP, lane_generator, lane_key
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Curves, TrainingLoop
+from components.networks import StackedMLP
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import Curves, TrainingLoop
 
 __all__ = ["train_experts", "without_denormals"]
 

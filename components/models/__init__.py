@@ -6,21 +6,23 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from components.models import action_vae, behaviour_policy, mlp_fit, recurrent_fit
+from components.models import action_vae, behaviour_policy
 from components.models.gaussian_behaviour import (
     GaussianBehaviour,
     GaussianBehaviourConfig,
     fit_gaussian_behaviour,
 )
-from components.models.mlp_config import (
+from components.models.mlp_ensemble.config import (
     DeterministicEnsembleConfig,
     GaussianEnsembleConfig,
     ResidualEnsembleConfig,
 )
-from components.models.mlp_ensemble import MLPEnsemble
-from components.models.recurrent_ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
+from components.models.mlp_ensemble.fit import fit_mlp_ensemble
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble, RecurrentEnsembleConfig
+from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
 from components.models.supervised import Fit
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 
 __all__ = ["MODELS", "ModelKind"]
 
@@ -53,18 +55,14 @@ MODELS: Final[Mapping[str, ModelKind]] = MappingProxyType(
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
-            recurrent_fit.fit_recurrent_ensemble,
+            fit_recurrent_ensemble,
             RecurrentEnsemble.load,
         ),
         "deterministic_ensemble": ModelKind(
-            DeterministicEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
+            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load
         ),
-        "gaussian_ensemble": ModelKind(
-            GaussianEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
-        ),
-        "residual_ensemble": ModelKind(
-            ResidualEnsembleConfig, mlp_fit.fit_mlp_ensemble, MLPEnsemble.load
-        ),
+        "gaussian_ensemble": ModelKind(GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load),
+        "residual_ensemble": ModelKind(ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load),
         "action_vae": ModelKind(
             action_vae.ActionVAEConfig, action_vae.fit_action_vae, action_vae.ActionVAE.load
         ),

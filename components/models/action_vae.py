@@ -18,14 +18,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
+from components.core.tensors import load_tensors, save_tensors
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
 from components.data.splits import split_episodes
 from components.models.rescaling import read_in_scaling
 from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
-from components.networks import LaneStreams, lane_generator, lane_key, normal_draw
-from components.networks.checkpoint import load_tensors, save_tensors
-from components.networks.normaliser import Normaliser
 from components.networks.variational import ConditionalVAE
 
 __all__ = ["ActionReconstruction", "ActionVAE", "ActionVAEConfig", "fit_action_vae"]

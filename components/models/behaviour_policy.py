@@ -12,13 +12,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from components.core.random_streams import LaneStreams, spawn_generators
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
 from components.data.splits import split_episodes
 from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
-from components.networks import LaneStreams, StackedMLP, spawn_generators
-from components.networks.policy import Policy, PolicyCard
-from components.networks.training import Curves
+from components.networks import StackedMLP
+from components.policies.policy import Policy, PolicyCard
+from components.training.loop import Curves
 
 __all__ = ["BehaviourPolicyConfig", "fit_behaviour_policies", "fit_behaviour_policy"]
 

@@ -21,14 +21,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from components.core.random_streams import LaneStreams
+from components.core.tensors import load_tensors, save_tensors
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
 from components.data.splits import split_episodes
 from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
-from components.networks import LaneStreams, TanhGaussian
-from components.networks.checkpoint import load_tensors, save_tensors
+from components.networks import TanhGaussian
 from components.networks.gaussian import LOG_STD_RANGE, log_density, raw_actions
-from components.networks.policy import Policy, PolicyCard
+from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["GaussianBehaviour", "GaussianBehaviourConfig", "fit_gaussian_behaviour"]
 

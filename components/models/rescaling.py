@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from components.networks.normaliser import Normaliser
+from components.core.normaliser import Normaliser
 
 __all__ = ["read_in_scaling"]
 

@@ -15,16 +15,16 @@ from typing import Generic, Protocol, TypeVar
 import torch
 from torch import Tensor, nn
 
-from components.networks.checkpoint import (
+from components.core.random_streams import LaneStreams
+from components.core.tensors import (
     load_optimizer_state,
     module_state,
     optimizer_state,
     prefixed,
     with_prefix,
 )
-from components.networks.cuda_graphs import graphed
-from components.networks.streams import LaneStreams
-from components.networks.training import Curves, Schedule, TrainingLoop, adam
+from components.training.cuda_graphs import graphed
+from components.training.loop import Curves, Schedule, TrainingLoop, adam
 
 __all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
 

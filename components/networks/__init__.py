@@ -1,5 +1,13 @@
 """Stacked layers and random streams: the building blocks of every learner."""
 
+from components.core.random_streams import (
+    Draw,
+    LaneStreams,
+    lane_generator,
+    lane_key,
+    normal_draw,
+    spawn_generators,
+)
 from components.networks.critics import Critics, soft_clipped_maximum
 from components.networks.gaussian import TanhGaussian
 from components.networks.stacked import (
@@ -9,14 +17,6 @@ from components.networks.stacked import (
     lanewise_mean,
     polyak_update,
     select_lanes,
-)
-from components.networks.streams import (
-    Draw,
-    LaneStreams,
-    lane_generator,
-    lane_key,
-    normal_draw,
-    spawn_generators,
 )
 
 __all__ = [

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP
-from components.networks.streams import spawn_generators
 
 __all__ = ["Critics", "soft_clipped_maximum"]
 

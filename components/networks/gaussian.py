@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
+from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP
-from components.networks.streams import spawn_generators
 
 __all__ = ["LOG_STD_RANGE", "Sample", "TanhGaussian", "log_density", "raw_actions"]
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP, lanewise_mean
-from components.networks.streams import spawn_generators
 
 __all__ = ["LATENT_CLIP", "ConditionalVAE", "divergence_from_prior"]
 

@@ -1,6 +1,6 @@
 """What can go wrong in a sweep by no fault of a node, each as one sentence with its remedy."""
 
-__all__ = ["LedgerError", "PipelineError", "StoreError"]
+__all__ = ["PipelineError", "StoreError", "TrackingError"]
 
 
 class PipelineError(RuntimeError):
@@ -11,5 +11,5 @@ class StoreError(PipelineError):
     """The artifact store cannot be read or written."""
 
 
-class LedgerError(PipelineError):
+class TrackingError(PipelineError):
     """MLflow refused or could not be reached; no artifact on disk is lost by that."""

@@ -11,8 +11,8 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from flows.pipeline.board import Board, Line
 from flows.pipeline.plan import Plan
+from flows.pipeline.run_state import Line, RunState
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 
@@ -54,7 +54,7 @@ class Display:
         done = {node.key for node in plan if store.complete(node.key)}
         pending = [node.key for node in plan if node.key not in done]
         groups = form_groups(plan, pending, store)
-        board = Board(plan, groups, store, slots, done)
+        run_state = RunState(plan, groups, store, slots, done)
         table = Table(box=None, pad_edge=False)
         table.add_column("component")
         for name in ("nodes", "finished", "to do", "task calls", "work"):
@@ -68,11 +68,11 @@ class Display:
                 str(len(nodes) - len(open_nodes)),
                 str(len(open_nodes)),
                 str(len(calls)),
-                duration(board.costs.seconds(open_nodes)) if open_nodes else "",
+                duration(run_state.costs.seconds(open_nodes)) if open_nodes else "",
             )
         self.console.print(table)
-        total = max(board.remaining().values(), default=0.0)
-        source = "from measured times" if board.costs.measured else "a rough guess"
+        total = max(run_state.remaining().values(), default=0.0)
+        source = "from measured times" if run_state.costs.measured else "a rough guess"
         self.console.print(
             f"{len(pending)} of {len(plan)} nodes to do, about {duration(total)} "
             f"with {slots} at once ({source})."
@@ -80,17 +80,19 @@ class Display:
             else f"All {len(plan)} nodes are finished."
         )
 
-    def start(self, board: Board) -> None:
+    def start(self, run_state: RunState) -> None:
         """Begins to show a run."""
         self._shown = {}
         self._last = {}
         if self.console.is_terminal:
-            self._live = Live(self._table(board.lines()), console=self.console, auto_refresh=False)
+            self._live = Live(
+                self._table(run_state.lines()), console=self.console, auto_refresh=False
+            )
             self._live.start(refresh=True)
 
-    def update(self, board: Board) -> None:
+    def update(self, run_state: RunState) -> None:
         """Shows the present state."""
-        lines = board.lines()
+        lines = run_state.lines()
         if self._live is not None:
             self._live.update(self._table(lines), refresh=True)
         else:
@@ -101,14 +103,14 @@ class Display:
         """Prints one line for people, above the live lines."""
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    def stop(self, board: Board) -> None:
+    def stop(self, run_state: RunState) -> None:
         """Shows the last state and leaves it standing."""
         if self._live is not None:
-            self._live.update(self._table(board.lines()), refresh=True)
+            self._live.update(self._table(run_state.lines()), refresh=True)
             self._live.stop()
             self._live = None
             return
-        for line in board.lines():
+        for line in run_state.lines():
             self._log(line, force=True)
 
     def _log(self, line: Line, *, force: bool = False) -> None:

@@ -13,22 +13,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from flows.pipeline.board import Board
-from flows.pipeline.errors import LedgerError
-from flows.pipeline.executors import Executor
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.executors.executor import Executor
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
+from flows.pipeline.run_state import RunState
 from flows.pipeline.schedule import Group, form_groups
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
 
-__all__ = ["Ledger", "NullLedger", "Outcome", "run_plan"]
+__all__ = ["NullTracker", "Outcome", "Tracker", "run_plan"]
 
 _TICK = 0.5  # seconds between two looks at the display
-_LEDGER_PAUSE = 60.0  # seconds before a ledger that refused is asked again
+_TRACKER_PAUSE = 60.0  # seconds before a tracker that refused is asked again
 
 
-class Ledger(Protocol):
+class Tracker(Protocol):
     """Whoever remembers nodes for people; the driver alone talks to it."""
 
     def log_node(self, node: Node, folder: Path) -> None:
@@ -38,7 +38,7 @@ class Ledger(Protocol):
         """Remembers a failed node."""
 
 
-class NullLedger:
+class NullTracker:
     """Remembers nothing."""
 
     def log_node(self, node: Node, folder: Path) -> None:
@@ -58,7 +58,7 @@ class Outcome:
         failed: Traceback or reason by key.
         skipped: By key of a node not run, the key of the failed node it needs.
         interrupted: Whether somebody pressed Ctrl-C.
-        unrecorded: Why finished nodes are missing in the ledger; empty if none is.
+        unrecorded: Why finished nodes are missing in the tracker; empty if none is.
     """
 
     finished: list[str] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Outcome:
 def run_plan(
     plan: Plan,
     store: ArtifactStore,
-    ledger: Ledger,
+    tracker: Tracker,
     display: Display,
     *,
     executor: Executor,
@@ -102,7 +102,7 @@ def run_plan(
     Args:
         plan: What is wanted.
         store: Where artifacts lie.
-        ledger: Who remembers them.
+        tracker: Who remembers them.
         display: Who shows what happens.
         executor: Who does the work.
         command: How to continue after an interrupt, for the message.
@@ -113,7 +113,7 @@ def run_plan(
     Raises:
         PipelineError: the sweep could not start at all.
     """
-    return _Run(plan, store, ledger, display, executor, command).run()
+    return _Run(plan, store, tracker, display, executor, command).run()
 
 
 class _Run:
@@ -123,14 +123,14 @@ class _Run:
         self,
         plan: Plan,
         store: ArtifactStore,
-        ledger: Ledger,
+        tracker: Tracker,
         display: Display,
         executor: Executor,
         command: str,
     ) -> None:
         self.plan = plan
         self.store = store
-        self.ledger = ledger
+        self.tracker = tracker
         self.display = display
         self.executor = executor
         self.command = command
@@ -138,8 +138,8 @@ class _Run:
         self.waiting: dict[str, Group] = {}
         self.running: dict[str, Group] = {}
         self.unlogged: list[tuple[Node, str | None]] = []
-        self.ledger_closed_until = float("-inf")
-        self.ledger_warned = False
+        self.tracker_closed_until = float("-inf")
+        self.tracker_warned = False
 
     def run(self) -> Outcome:
         self.store.repair()
@@ -148,24 +148,24 @@ class _Run:
         pending = [node.key for node in self.plan if node.key not in done]
         groups = form_groups(self.plan, pending, self.store)
         self.waiting = {group.name: group for group in groups}
-        self.board = Board(self.plan, groups, self.store, self.executor.slots, done)
-        self.display.start(self.board)
+        self.run_state = RunState(self.plan, groups, self.store, self.executor.slots, done)
+        self.display.start(self.run_state)
         try:
             if groups:
                 self.executor.start(self.display.note)
-                self.board.slots = self.executor.slots
+                self.run_state.slots = self.executor.slots
                 self._submit()
             for key in self.outcome.reused:
                 self._remember(self.plan[key], None)
             while self.running:
                 self._step()
-            self._retry_ledger(last=True)
+            self._retry_tracker(last=True)
         except KeyboardInterrupt:
             self.outcome.interrupted = True
         finally:
             with _no_interrupts():
                 self.executor.stop()
-                self.display.stop(self.board)
+                self.display.stop(self.run_state)
         if self.unlogged:
             self.display.note(
                 f"{len(self.unlogged)} nodes are not in MLflow yet, but safe on disk. "
@@ -182,15 +182,15 @@ class _Run:
         records: list[tuple[Node, str | None]] = []
         for result in results:
             records += self._settle(result)
-        # Workers first: writing to the ledger may take seconds, and nobody should wait for that.
+        # Workers first: writing to the tracker may take seconds, and nobody should wait for that.
         self._submit()
         for node, reason in records:
             self._remember(node, reason)
-        self._retry_ledger()
-        self.display.update(self.board)
+        self._retry_tracker()
+        self.display.update(self.run_state)
 
     def _submit(self) -> None:
-        # One more than can run, so that no worker idles while the ledger is being written.
+        # One more than can run, so that no worker idles while the tracker is being written.
         room = self.executor.slots + 1 - len(self.running)
         settled = self.waiting.keys() | self.running.keys()
         ready = sorted(
@@ -210,7 +210,7 @@ class _Run:
                     self.executor.threads,
                 )
             )
-            self.board.submitted(group.name)
+            self.run_state.submitted(group.name)
 
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
@@ -219,7 +219,7 @@ class _Run:
             # Published by a worker that died before it could say so.
             result.finished.append(key)
             del result.failed[key]
-        self.board.ended(group.name, result)
+        self.run_state.ended(group.name, result)
         self.outcome.finished += result.finished
         records: list[tuple[Node, str | None]] = [(self.plan[k], None) for k in result.finished]
         for key, reason in result.failed.items():
@@ -240,29 +240,29 @@ class _Run:
             group.nodes = [member for member in group.nodes if member.key != node.key]
             if not group.nodes:
                 del self.waiting[name]
-        self.board.skipped(node.key)
+        self.run_state.skipped(node.key)
 
     def _remember(self, node: Node, reason: str | None) -> None:
-        if time.monotonic() < self.ledger_closed_until:
+        if time.monotonic() < self.tracker_closed_until:
             self.unlogged.append((node, reason))
             return
         try:
             if reason is None:
-                self.ledger.log_node(node, self.store.path(node.key))
+                self.tracker.log_node(node, self.store.path(node.key))
             else:
-                self.ledger.log_failure(node, reason)
-        except LedgerError as error:
-            if not self.ledger_warned:
+                self.tracker.log_failure(node, reason)
+        except TrackingError as error:
+            if not self.tracker_warned:
                 self.display.note(f"{error} The work goes on.")
-                self.ledger_warned = True
+                self.tracker_warned = True
             self.outcome.unrecorded = str(error)
             self.unlogged.append((node, reason))
-            self.ledger_closed_until = time.monotonic() + _LEDGER_PAUSE
+            self.tracker_closed_until = time.monotonic() + _TRACKER_PAUSE
 
-    def _retry_ledger(self, *, last: bool = False) -> None:
+    def _retry_tracker(self, *, last: bool = False) -> None:
         if last:
-            self.ledger_closed_until = float("-inf")
-        if not self.unlogged or time.monotonic() < self.ledger_closed_until:
+            self.tracker_closed_until = float("-inf")
+        if not self.unlogged or time.monotonic() < self.tracker_closed_until:
             return
         again, self.unlogged = self.unlogged, []
         self.outcome.unrecorded = ""

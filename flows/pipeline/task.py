@@ -1,7 +1,7 @@
 """The contract between the pipeline and the functions that do the work.
 
 A task function is `task(jobs, context) -> None`. It fills every `job.out`, an empty folder, with
-any files. Some names are understood by the ledger, all of them optional:
+any files. Some names are understood by the tracker, all of them optional:
 
 - `metrics.json`   {name: number}, the final scalars.
 - `curves.npz`     per metric two arrays `<name>/step` and `<name>/value` (no pickle).

@@ -1,36 +1,36 @@
-"""What a search still has to tell the ledger: every trial that ended, whoever saw it end."""
+"""What a search still has to tell the tracker: every trial that ended, whoever saw it end."""
 
 import contextlib
 from collections.abc import Callable, Iterable
 
 from optuna.trial import FrozenTrial, TrialState
 
-from flows.pipeline.errors import LedgerError
+from flows.pipeline.errors import TrackingError
 from flows.pipeline.store import ArtifactStore
-from flows.tuning.ledger import TrialRecord, Trials
 from flows.tuning.study import Study, has_ended
+from flows.tuning.trial_tracker import TrialRecord, Trials
 
 __all__ = ["TrialNotes"]
 
 
 class TrialNotes:
-    """Trials in the order in which they ended, until the ledger has them.
+    """Trials in the order in which they ended, until the tracker has them.
 
-    A ledger that fails once is not asked again: the studies remember everything, so the next run
+    A tracker that fails once is not asked again: the studies remember everything, so the next run
     of the search records what is missing.
 
     Args:
-        ledger: Who remembers the trials.
+        tracker: Who remembers the trials.
         store: Where artifacts lie.
         say: Takes one-line messages for people.
 
     Attributes:
-        closed: Why trials are missing in the ledger; empty if none is.
+        closed: Why trials are missing in the tracker; empty if none is.
     """
 
-    def __init__(self, ledger: Trials, store: ArtifactStore, say: Callable[[str], None]) -> None:
+    def __init__(self, tracker: Trials, store: ArtifactStore, say: Callable[[str], None]) -> None:
         self.closed = ""
-        self._ledger = ledger
+        self._tracker = tracker
         self._store = store
         self._say = say
         self._waiting: list[tuple[Study, int]] = []
@@ -40,11 +40,11 @@ class TrialNotes:
         self._waiting.append((study, number))
 
     def catch_up(self, studies: Iterable[Study]) -> None:
-        """Write what a killed driver told the studies but not the ledger."""
+        """Write what a killed driver told the studies but not the tracker."""
         for study in studies:
             try:
-                known = self._ledger.recorded(study.name)
-            except LedgerError as error:
+                known = self._tracker.recorded(study.name)
+            except TrackingError as error:
                 self._close(error)
                 return
             ended = [trial.number for trial in study.trials() if trial.state.is_finished()]
@@ -52,17 +52,17 @@ class TrialNotes:
         self.write()
 
     def write(self) -> None:
-        """Tell the ledger what is noted."""
+        """Tell the tracker what is noted."""
         while self._waiting and not self.closed:
             study, number = self._waiting[0]
             try:
-                self._ledger.log_trial(self._record(study, study.trials()[number]))
-            except LedgerError as error:
+                self._tracker.log_trial(self._record(study, study.trials()[number]))
+            except TrackingError as error:
                 self._close(error)
                 return
             self._waiting.pop(0)
 
-    def _close(self, error: LedgerError) -> None:
+    def _close(self, error: TrackingError) -> None:
         self.closed = str(error)
         self._say(f"{error} The search goes on; the next run of it records what is missing.")
 

@@ -15,14 +15,14 @@ from dataclasses import dataclass, field
 from optuna.trial import Trial, TrialState
 
 from flows.pipeline.errors import PipelineError
-from flows.pipeline.executors import Executor
+from flows.pipeline.executors.executor import Executor
 from flows.pipeline.files import locked, read_json
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
-from flows.tuning.ledger import Trials
 from flows.tuning.notes import TrialNotes
 from flows.tuning.study import Study
+from flows.tuning.trial_tracker import Trials
 
 __all__ = ["Outcome", "search"]
 
@@ -68,7 +68,7 @@ def search(
     studies: Sequence[Study],
     trials: int,
     store: ArtifactStore,
-    ledger: Trials,
+    tracker: Trials,
     executor: Executor,
     notify: Callable[[str], None],
     finished: Callable[[Study], None] = lambda study: None,
@@ -79,7 +79,7 @@ def search(
         studies: What is searched; the datasets must be in the store.
         trials: That each study shall have; those of earlier runs count.
         store: Where artifacts lie.
-        ledger: Who remembers the trials.
+        tracker: Who remembers the trials.
         executor: Who fits.
         notify: Takes one-line messages for people.
         finished: Called with every study that has its trials, one of them complete.
@@ -97,7 +97,7 @@ def search(
                 raise PipelineError(
                     f"Another process searches {study.name}: wait for it, or stop it."
                 )
-        return _Search(studies, trials, store, ledger, executor, notify, finished).run()
+        return _Search(studies, trials, store, tracker, executor, notify, finished).run()
 
 
 def _group(key: str) -> str:
@@ -113,7 +113,7 @@ class _Search:
         studies: Sequence[Study],
         trials: int,
         store: ArtifactStore,
-        ledger: Trials,
+        tracker: Trials,
         executor: Executor,
         notify: Callable[[str], None],
         finished: Callable[[Study], None],
@@ -127,7 +127,7 @@ class _Search:
         self.outcome = Outcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
-        self.notes = TrialNotes(ledger, store, self._say)
+        self.notes = TrialNotes(tracker, store, self._say)
         self.heard = time.monotonic()
 
     def run(self) -> Outcome:

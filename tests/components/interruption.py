@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from components.networks.training import Curves, TrainingLoop
+from components.training.loop import Curves, TrainingLoop
 
 
 class KilledError(Exception):

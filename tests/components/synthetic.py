@@ -13,19 +13,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator, lane_key
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
-from components.data.machine import MachineRule, machine_frames
+from components.data.dynamics import DynamicsSpecification, model_frames
 from components.models.action_vae import ActionVAE
-from components.models.mlp_ensemble import MLPEnsemble
-from components.models.recurrent_ensemble import (
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
+from components.models.recurrent_ensemble.ensemble import (
     Feedback,
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
 )
-from components.networks import StackedMLP, lane_generator, lane_key
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy, PolicyCard
+from components.networks import StackedMLP
 from components.networks.variational import ConditionalVAE
+from components.policies.policy import Policy, PolicyCard
 
 CPU = torch.device("cpu")
 FEATURES = ("setpoint", "velocity", "gain", "shift", "fatigue", "consumption")
@@ -166,10 +167,10 @@ def constant_policy(actions: Sequence[float], features: int = 6, history: int = 
     return Policy.of_networks(card, {"actor": [(weight, bias)]}, scaling)
 
 
-def machine_scaling(dataset: OfflineDataset) -> tuple[MachineRule, Normaliser, Tensor]:
+def machine_scaling(dataset: OfflineDataset) -> tuple[DynamicsSpecification, Normaliser, Tensor]:
     """What its card says, the scaling of its machine frames, and their normalised targets."""
-    rule = MachineRule.of_card(dataset.card)
-    frames = machine_frames(dataset, rule)
+    rule = DynamicsSpecification.of_card(dataset.card)
+    frames = model_frames(dataset, rule)
     scaling = Normaliser.fit(frames)
     return rule, scaling, scaling.apply(torch.from_numpy(frames))[:, len(rule.known) :]
 

@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.algorithms.train import train_policies
-from components.networks.checkpoint import load_tensors
-from flows.benchmark import benchmark_plan
+from components.algorithms.parts.training import train_policies
+from components.core.tensors import load_tensors
+from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, run_group
-from flows.settings import load_settings
+from flows.planning.benchmark import benchmark_plan
 from tests.components.interruption import dying
 from tests.flows.grid import finished
 

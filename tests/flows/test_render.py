@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
+from components.environments.mujoco.specifications import HOPPER
 from components.environments.rendering import Take, drawing_library
-from components.environments.robot_specs import HOPPER
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from flows import render
+from flows.command_line import run_door
 from flows.pipeline.files import write_json
-from flows.pipeline.mlflow_setup import import_mlflow
 from flows.pipeline.store import ArtifactStore
-from flows.session import run_door
+from flows.pipeline.tracking.mlflow_setup import import_mlflow
 from tests.components.synthetic import constant_policy, make_log
 
 DATA, HOPPING, TWIN, LAMBDA, STEERING = (letter * 32 for letter in "abcde")

@@ -8,12 +8,12 @@ import pytest
 
 from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
 from flows import full_benchmark
-from flows.benchmark import benchmark_plan
+from flows.configuration.settings import load_settings
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
+from flows.planning.benchmark import benchmark_plan
 from flows.render import find_policy, load_render_settings
-from flows.settings import load_settings
 
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",

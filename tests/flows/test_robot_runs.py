@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from flows.benchmark import benchmark_plan
+from flows.configuration.settings import load_settings
 from flows.pipeline.files import read_json
-from flows.settings import load_settings
+from flows.planning.benchmark import benchmark_plan
 from tests.flows.grid import finished
 
 WORDS = [

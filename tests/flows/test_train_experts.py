@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from components.data.experts import shipped
-from components.data.experts.shipped import Expert
-from components.data.robots import RobotSpec
+from components.data.controllers.trained import shipped
+from components.data.controllers.trained.shipped import Expert
+from components.data.sources.robots import RobotSpec
 from components.experts import online
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from flows import train_experts
+from flows.command_line import main
+from flows.configuration.settings import SettingsError, load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.task import Job, TaskContext, load_task
-from flows.session import main
-from flows.settings import SettingsError, load_settings
 from flows.train_experts import ALIASES, expert_plan
 from tests.components.interruption import KilledError, dying
 
@@ -177,7 +177,7 @@ def test_the_door_trains_remembers_and_installs(
     assert door(store, "install=true") == 0
     assert sorted((tmp_path / "mlruns" / "nodes").glob("[!.]*")) == trained  # all reused
     expert = Expert.load(place / "swimmer")
-    monkeypatch.setattr("components.data.robots.SHIPPED", place)
+    monkeypatch.setattr("components.data.sources.robots.SHIPPED", place)
     dataset = RobotSpec("swimmer", "swimmer", transitions=30, steps=20).generate(0)
     assert dataset.card.controller_digest == expert.card.digest
 

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from components.algorithms import moose
-from components.algorithms.base import Ingredients
 from components.algorithms.moose import Config, Learner
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_key
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
-from components.models.mlp_ensemble import MLPEnsemble
-from components.networks.normaliser import Normaliser
-from components.networks.streams import lane_key
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
 from tests.components.algorithms.plain import floats, network
 from tests.components.algorithms.stacks import SMALL
 from tests.components.models.test_action_vae import rebuilt
@@ -41,7 +41,7 @@ def moose_learner(
     found |= {name: [model] * len(logs) for name, model in (models or {}).items()}
     keys = [lane_key(log.card.name, "moose", seed) for log, seed in zip(logs, seeds, strict=True)]
     settings = Config(**(SMALL["moose"] | changes))
-    return Learner(settings, Ingredients(LaneData(logs, CPU), keys, found))
+    return Learner(settings, LearnerInputs(LaneData(logs, CPU), keys, found))
 
 
 def exact_ensemble(*extra: float) -> MLPEnsemble:

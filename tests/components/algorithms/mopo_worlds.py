@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from components.algorithms import mopo
-from components.algorithms.base import Ingredients
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.normaliser import Normaliser
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
-from components.models.mlp_ensemble import MLPEnsemble
-from components.networks.normaliser import Normaliser
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
 from tests.components.algorithms.plain import floats
 from tests.components.algorithms.stacks import config
 from tests.components.synthetic import (
@@ -96,7 +96,7 @@ def made_of(
     lanes = len(ensembles)
     data = LaneData([log] * lanes, torch.device("cpu"), mopo.FRAME_EPSILON)
     models = {"gaussian_ensemble": list(ensembles)}
-    return mopo.Learner(config("mopo", **changes), Ingredients(data, keys(*range(lanes)), models))
+    return mopo.Learner(config("mopo", **changes), LearnerInputs(data, keys(*range(lanes)), models))
 
 
 def raw_targets(made: mopo.Learner, scaled: Tensor) -> np.ndarray:

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from components.algorithms import morel
-from components.algorithms.base import Ingredients
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.random_streams import lane_key
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
-from components.models.mlp_ensemble import MLPEnsemble
-from components.networks.streams import lane_key
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
 from tests.components.algorithms.plain import floats
 from tests.components.algorithms.stacks import config, learner
 from tests.components.synthetic import CPU, FEATURES, make_log, random_model
@@ -92,7 +92,7 @@ def linear_ensemble(
 
 
 def in_world(ensemble: MLPEnsemble, **changes: Any) -> Any:
-    parts = Ingredients(
+    parts = LearnerInputs(
         LaneData([LOG], CPU),
         [lane_key("world", 0)],
         {"residual_ensemble": [ensemble]},

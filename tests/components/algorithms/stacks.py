@@ -7,10 +7,10 @@ import numpy as np
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.algorithms.base import Ingredients
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.random_streams import lane_key
+from components.data.batches import Batch, LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import Batch, LaneData
-from components.networks.streams import lane_key
 from tests.components.synthetic import CPU, make_log, random_model, relabelled
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -95,7 +95,7 @@ def learner(
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
     module = ALGORITHMS[algorithm]
-    parts = Ingredients(
+    parts = LearnerInputs(
         data=LaneData(logs, device, module.FRAME_EPSILON),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)

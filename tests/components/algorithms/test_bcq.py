@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from components.algorithms import bcq
-from components.algorithms.base import descend
+from components.algorithms.parts.learner import descend
+from components.data.batches import Batch
 from components.data.dataset import OfflineDataset
-from components.data.lanes import Batch
 from components.networks import StackedMLP
 from tests.components.algorithms.plain import critic, floats, network, slopes
 from tests.components.algorithms.stacks import (

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from components.algorithms import bear
-from components.algorithms.base import descend
-from components.data.lanes import Batch
+from components.algorithms.parts.learner import descend
+from components.data.batches import Batch
 from tests.components.algorithms.plain import (
     critic,
     discrepancy_by_loops,

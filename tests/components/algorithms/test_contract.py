@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.algorithms.base import Ingredients, first_rows
+from components.algorithms.parts.learner import LearnerInputs, first_rows
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
 from components.models import MODELS
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from tests.components.algorithms.stacks import learner, run
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, make_log, policy_card, relabelled
@@ -178,7 +178,7 @@ def test_lanes_need_equal_shapes_and_one_machine() -> None:
     other = make_log("other")
     other.card.machine["known"]["high"] = 90.0
     with pytest.raises(ValueError, match="same kind of machine"):
-        _ = Ingredients(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
+        _ = LearnerInputs(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
 
 
 def test_first_rows_stay_inside_their_episodes() -> None:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from components.algorithms import cql
+from components.data.batches import Batch
 from components.data.dataset import OfflineDataset
-from components.data.lanes import Batch
 from tests.components.algorithms.plain import (
     critic,
     floats,

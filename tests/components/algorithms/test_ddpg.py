@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from components.algorithms import ddpg
+from components.data.batches import Batch
 from components.data.dataset import OfflineDataset
-from components.data.lanes import Batch
 from components.networks import StackedMLP
 from tests.components.algorithms.plain import critic, floats, network
 from tests.components.algorithms.stacks import config, learner, run, scattered

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from components.algorithms import lambda_td3_bc
-from components.data.lanes import Batch
+from components.data.batches import Batch
 from tests.components.algorithms.plain import critic, floats, network
 from tests.components.algorithms.stacks import config, learner, run, scattered
 from tests.components.synthetic import make_log, policy_card, relabelled

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from components.networks.policy import LAMBDA_SCALING
+from components.policies.policy import PROXIMITY_SCALING
 from tests.components.algorithms.stacks import learner, run
-from tests.components.models.test_rollout import by_loop
+from tests.components.models.transition.test_model_environment import by_loop
 from tests.components.synthetic import (
     make_log,
     policy_card,
@@ -50,7 +50,7 @@ def virtual_trajectory(policy: list, behaviour: list, row: int, proximity: float
     rewards = np.empty(0)
     for _ in range(5):
         seen = ((history - mean) / scale).flatten()
-        steered = (proximity - float(LAMBDA_SCALING.mean)) / float(LAMBDA_SCALING.scale)
+        steered = (proximity - float(PROXIMITY_SCALING.mean)) / float(PROXIMITY_SCALING.scale)
         action = plain_policy(policy, np.append(seen, steered))
         penalties.append(np.square(action - plain_policy(behaviour, seen)).mean())
         actions.append(action)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from components.algorithms import model_based
-from components.algorithms.base import Ingredients
-from components.data.lanes import LaneData
-from components.networks.normaliser import Normaliser
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.normaliser import Normaliser
+from components.data.batches import LaneData
 from tests.components.algorithms.stacks import SMALL, learner, run
 from tests.components.algorithms.test_lion import STEPS, arrays, history_of
 from tests.components.algorithms.test_wsbc import consuming, virtual_return
@@ -69,7 +69,7 @@ def test_start_states_are_early_ones() -> None:
 
 def test_nothing_holds_it_near_the_data() -> None:
     """Where less velocity is all that counts it ends on the bound, whatever the log did."""
-    parts = Ingredients(
+    parts = LearnerInputs(
         data=LaneData([LOG], CPU), keys=[3], models={"recurrent_ensemble": [consuming()]}
     )
     settings = SMALL["model_based"] | {"learning_rate": 5e-3, "hidden": (16,), "trajectories": 20}

@@ -8,12 +8,12 @@ import torch
 
 from components.algorithms import moose
 from components.algorithms.moose import Config, Learner, mixed_return
-from components.data.machine import MachineRule
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_key
+from components.data.dynamics import DynamicsSpecification
 from components.models.action_vae import ActionVAEConfig, fit_action_vae
-from components.models.mlp_ensemble import MLPTransition
-from components.models.rollout import VirtualMachine
-from components.networks.normaliser import Normaliser
-from components.networks.streams import lane_key
+from components.models.mlp_ensemble.ensemble import MLPTransition
+from components.models.transition.model_environment import ModelEnvironment
 from tests.components.algorithms.moose_worlds import (
     LOG,
     MEMBERS,
@@ -161,8 +161,11 @@ def in_double(made: Learner) -> None:
             n: getattr(ensemble, n).double() for n in ("low", "high", "target_mean", "target_scale")
         },
     )
-    machine = VirtualMachine(
-        MLPTransition([ensemble], scaling, CPU), MachineRule.of_card(LOG.card), scaling, CPU
+    machine = ModelEnvironment(
+        MLPTransition([ensemble], scaling, CPU),
+        DynamicsSpecification.of_card(LOG.card),
+        scaling,
+        CPU,
     )
     part.reconstruct._network.double()
     part.actor.double()

@@ -20,8 +20,8 @@ from tests.components.algorithms.mopo_worlds import (
     raw_targets,
     true_machine,
 )
+from tests.components.algorithms.parts.test_soft_actor_critic import compare_an_update
 from tests.components.algorithms.stacks import config, learner, run, scattered
-from tests.components.algorithms.test_soft_actor_critic import compare_an_update
 from tests.components.synthetic import (
     SCALE,
     next_outputs,

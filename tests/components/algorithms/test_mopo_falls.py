@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from components.algorithms.model_buffer import ModelBuffer
 from components.algorithms.mopo import healthy_ranges
+from components.algorithms.parts.model_buffer import ModelBuffer
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.lanes import LaneData
 from tests.components.algorithms.stacks import learner
 from tests.components.robot import HEALTHY, LIMIT, make_robot_log
 from tests.components.synthetic import CPU, make_log

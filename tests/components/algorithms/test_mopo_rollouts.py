@@ -11,8 +11,8 @@ from torch import Tensor
 
 from components.algorithms import mopo
 from components.algorithms.mopo import percentile, uncertainty
-from components.models.mlp_ensemble import MLPEnsemble
-from components.models.rollout import Prediction
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
+from components.models.transition.model_environment import Prediction
 from tests.components.algorithms.mopo_worlds import (
     COUNT,
     LENGTH,
@@ -24,9 +24,9 @@ from tests.components.algorithms.mopo_worlds import (
     raw_targets,
     true_machine,
 )
+from tests.components.algorithms.parts.test_model_buffer import frames_before, seen
 from tests.components.algorithms.plain import floats, gaussian_parameters
 from tests.components.algorithms.stacks import learner
-from tests.components.algorithms.test_model_buffer import frames_before, seen
 from tests.components.synthetic import (
     SCALE,
     next_outputs,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from components.algorithms import morel
-from components.algorithms.halting import live_samples
+from components.algorithms.parts.pessimistic_mdp import live_samples
 from tests.components.algorithms.morel_worlds import (
     HALT_RETURN,
     HORIZON,

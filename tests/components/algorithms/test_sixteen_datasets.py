@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from components.data.catalogue import generate
 from components.data.dataset import OfflineDataset
-from components.data.industrial import INDUSTRIAL_DATASETS
+from components.data.sources.catalogue import generate
+from components.data.sources.industrial import INDUSTRIAL_DATASETS
 from tests.components.algorithms.stacks import learner, run
 from tests.components.synthetic import policy_card
 

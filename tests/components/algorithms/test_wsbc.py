@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from components.algorithms import wsbc
-from components.algorithms.base import Ingredients
-from components.data.lanes import LaneData
-from components.models.recurrent_ensemble import RecurrentEnsemble
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy
-from components.networks.streams import lane_key
+from components.algorithms.parts.learner import LearnerInputs
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_key
+from components.data.batches import LaneData
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
+from components.policies.policy import Policy
 from tests.components.algorithms.stacks import SMALL, learner, run
 from tests.components.algorithms.test_lion import STEPS, arrays, plain_policy
-from tests.components.models.test_rollout import by_loop, constant_ensemble
+from tests.components.models.transition.test_model_environment import by_loop, constant_ensemble
 from tests.components.synthetic import (
     CPU,
     make_log,
@@ -33,7 +33,7 @@ def made_of(
     behaviour: list[Policy], ensembles: list[RecurrentEnsemble], logs: list, **changes: Any
 ) -> wsbc.Learner:
     """A learner on given models."""
-    parts = Ingredients(
+    parts = LearnerInputs(
         data=LaneData(logs, CPU),
         keys=[lane_key(log.card.name, "wsbc") for log in logs],
         models={"behaviour_policy": behaviour, "recurrent_ensemble": ensembles},
@@ -260,7 +260,7 @@ def test_a_wider_box_finds_more() -> None:
 def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
     log = make_log(history=30)
     clone = random_policy(log, ("big",), hidden=20)
-    parts = Ingredients(
+    parts = LearnerInputs(
         data=LaneData([log], CPU),
         keys=[1],
         models={

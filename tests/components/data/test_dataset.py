@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.data.catalogue import DATASETS, generate
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.sources.catalogue import DATASETS, generate
 from tests.components.synthetic import make_log
 
 SPEC = dataclasses.replace(DATASETS["mediocre-0.4"], trajectories=3, steps=120)

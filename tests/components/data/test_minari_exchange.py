@@ -9,12 +9,12 @@ import minari
 import numpy as np
 import pytest
 
-from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
 from components.data.minari_exchange import export_minari, import_minari, minari_id
-from components.data.robots import RobotSpec
-from components.environments.robot_specs import SWIMMER
-from tests.components.data.toy_robot import toy_expert
+from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.robots import RobotSpec
+from components.environments.mujoco.specifications import SWIMMER
+from tests.components.data.sources.toy_robot import toy_expert
 from tests.components.synthetic import relabelled
 
 

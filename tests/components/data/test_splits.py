@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from components.data.catalogue import DATASETS, generate
 from components.data.dataset import OfflineDataset
+from components.data.sources.catalogue import DATASETS, generate
 from components.data.splits import split_episodes
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID, SWIMMER_ID, rendering
-from components.environments.batch import make_batch
 from components.environments.rendering import FRAMES_PER_SECOND, drawing_library, film
+from components.environments.systems import make_batch
 
 
 @pytest.fixture(scope="module")

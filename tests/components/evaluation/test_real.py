@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator, lane_key
 from components.environments import INDUSTRIAL_BENCHMARK_ID
-from components.environments.batch import make_batch
+from components.environments.systems import make_batch
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
-from components.networks import StackedMLP, lane_generator, lane_key
-from components.networks.normaliser import Normaliser
-from components.networks.policy import LAMBDA_SCALING, Policy
+from components.networks import StackedMLP
+from components.policies.policy import PROXIMITY_SCALING, Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 
 SMALL = EvaluationConfig(trajectories=3, horizon=12, discount=0.9, lambda_step=0.25)
@@ -85,7 +86,7 @@ def test_lambda_reaches_the_policy() -> None:
     grid = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     np.testing.assert_array_equal(result.lambdas, grid)
     assert result.returns.shape == (1, 5, 3)
-    first = np.tanh((grid - 0.5) / float(LAMBDA_SCALING.scale))
+    first = np.tanh((grid - 0.5) / float(PROXIMITY_SCALING.scale))
     actions = np.stack([first, np.zeros(5), np.zeros(5)], axis=1)
     expected = simulate(np.repeat(actions, 3, axis=0), 5, 12, 0.9).reshape(1, 5, 3)
     np.testing.assert_allclose(result.returns, expected, rtol=1e-5)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator
 from components.environments import HOPPER_ID
 from components.evaluation.real import EvaluationConfig, evaluate_policies
-from components.networks import lane_generator
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 
 NEVER = 99

@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from components.core.random_streams import lane_key
 from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
-from components.networks import StackedMLP, lane_key
-from tests.components.data.toy_robot import LIMIT, ToyRobot
+from components.networks import StackedMLP
+from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
 
 CPU = torch.device("cpu")
 TINY = ExpertConfig(

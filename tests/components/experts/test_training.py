@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from components.experts.judging import episode_rewards, judge
+from components.core.random_streams import lane_generator, lane_key
+from components.experts.episodes import episode_rewards, judge
 from components.experts.online import OnlineDDPG
 from components.experts.training import train_experts, without_denormals
-from components.networks import lane_generator, lane_key
-from tests.components.data.toy_robot import LIMIT, ToyRobot
+from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
 from tests.components.experts.test_online import TINY, keys
 from tests.components.interruption import KilledError, dying, killed_at, lanes
 

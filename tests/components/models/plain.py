@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from components.models.mlp_ensemble import MLPEnsemble
+from components.models.mlp_ensemble.ensemble import MLPEnsemble
 from tests.components.synthetic import SCALE
 
 

@@ -10,6 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_generator, lane_key
+from components.core.tensors import save_tensors
 from components.data.dataset import OfflineDataset
 from components.models import supervised
 from components.models.action_vae import (
@@ -19,9 +22,6 @@ from components.models.action_vae import (
     fit_action_vae,
 )
 from components.models.supervised import Fit, StackedFit
-from components.networks import lane_generator, lane_key
-from components.networks.checkpoint import save_tensors
-from components.networks.normaliser import Normaliser
 from tests.components.algorithms.plain import floats, network
 from tests.components.interruption import killed_at, save_always
 from tests.components.synthetic import (

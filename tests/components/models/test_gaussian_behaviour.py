@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from components.core.random_streams import lane_generator, lane_key
+from components.core.tensors import save_tensors
 from components.data.dataset import OfflineDataset
 from components.models import supervised
 from components.models.gaussian_behaviour import (
@@ -17,9 +19,7 @@ from components.models.gaussian_behaviour import (
     fit_gaussian_behaviour,
 )
 from components.models.supervised import Fit, Monitor, StackedFit
-from components.networks import lane_generator, lane_key
-from components.networks.checkpoint import save_tensors
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from tests.components.interruption import killed_at, save_always
 from tests.components.models.plain import doubles
 from tests.components.synthetic import CPU, make_log, relabelled

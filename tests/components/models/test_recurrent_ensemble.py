@@ -8,22 +8,22 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.data.catalogue import DATASETS, generate
-from components.data.machine import MachineRule
-from components.models import recurrent_fit
-from components.models.recurrent_ensemble import (
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_key
+from components.core.tensors import save_tensors
+from components.data.dynamics import DynamicsSpecification
+from components.data.sources.catalogue import DATASETS, generate
+from components.models.recurrent_ensemble import fit as recurrent_fit
+from components.models.recurrent_ensemble.ensemble import (
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
     predict_windows,
 )
-from components.models.recurrent_fit import fit_recurrent_ensemble
-from components.models.recurrent_transition import RecurrentTransition
-from components.models.recurrent_windows import TrainingWindows
-from components.models.rollout import VirtualMachine
+from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
+from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.recurrent_ensemble.windows import TrainingWindows
 from components.models.supervised import Fit
-from components.networks import lane_key
-from components.networks.checkpoint import save_tensors
-from components.networks.normaliser import Normaliser
+from components.models.transition.model_environment import ModelEnvironment
 from tests.components.interruption import killed_at, save_always
 from tests.components.synthetic import CPU, FATIGUE_ALONE, SCALE, make_log, random_ensemble
 
@@ -178,8 +178,8 @@ def test_training_and_roll_outs_predict_the_same() -> None:
     history = torch.from_numpy(LOG.frames)[rows][None]
     actions = [LOG.frames[start + TINY.warm_up + t + 1, 1:4] for t in range(TINY.horizon)]
     plain = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
-    virtual = VirtualMachine(
-        RecurrentTransition([alone], CPU), MachineRule.of_card(LOG.card), plain, CPU
+    virtual = ModelEnvironment(
+        RecurrentTransition([alone], CPU), DynamicsSpecification.of_card(LOG.card), plain, CPU
     )
     seen: list[Tensor] = []
 

@@ -9,27 +9,27 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.core.normaliser import Normaliser
+from components.core.random_streams import lane_key
 from components.data.dataset import OfflineDataset
-from components.data.machine import MachineRule, machine_frames
-from components.models.recurrent_ensemble import (
+from components.data.dynamics import DynamicsSpecification, model_frames
+from components.models.recurrent_ensemble.ensemble import (
     Feedback,
     RecurrentEnsemble,
     RecurrentEnsembleConfig,
     predict_windows,
 )
-from components.models.recurrent_fit import fit_recurrent_ensemble
-from components.models.recurrent_transition import RecurrentTransition
-from components.models.recurrent_windows import TrainingWindows
-from components.models.rollout import (
-    VirtualMachine,
+from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
+from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.recurrent_ensemble.windows import TrainingWindows
+from components.models.transition.model_environment import (
+    ModelEnvironment,
 )
-from components.networks import lane_key
-from components.networks.normaliser import Normaliser
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, make_log, random_ensemble
 
 LOG = make_robot_log()
-RULE = MachineRule.of_card(LOG.card)
+RULE = DynamicsSpecification.of_card(LOG.card)
 JOINT = RecurrentEnsembleConfig(
     members=2, networks="joint", target="change", hidden=6, warm_up=3, horizon=8, batch=16,
     updates=40, validate_every=7, holdout=0.2,
@@ -39,7 +39,7 @@ JOINT = RecurrentEnsembleConfig(
 def absorbed(log: OfflineDataset, episode: int, count: int) -> np.ndarray:
     """Machine frames of an episode and of what follows a fall: ``[<= T + 1 + count, 6]``."""
     start, end = log.episode_starts[episode : episode + 2]
-    rows = list(machine_frames(log, RULE)[start + episode : end + episode + 1])
+    rows = list(model_frames(log, RULE)[start + episode : end + episode + 1])
     if log.terminated[end - 1]:
         back = itertools.cycle(log.actions[start:end][::-1])
         rows += [np.concatenate([next(back), rows[-1][2:5], [0.0]]) for _ in range(count)]
@@ -78,7 +78,7 @@ def test_windows_with_absorption_by_hand() -> None:
 
 def test_statistics_are_those_of_the_logged_training_frames() -> None:
     windows = TrainingWindows(LOG, JOINT, CPU)
-    seen = machine_frames(LOG, RULE)[: int(LOG.episode_starts[19]) + 19]
+    seen = model_frames(LOG, RULE)[: int(LOG.episode_starts[19]) + 19]
     np.testing.assert_allclose(windows.normaliser.mean, seen.mean(axis=0), atol=1e-6)
     scaled = windows.normaliser.apply(torch.from_numpy(seen))[:, 2:]
     assert torch.equal(windows.low, scaled.amin(dim=0))
@@ -128,7 +128,7 @@ def test_what_networks_read_back() -> None:
     apart = Feedback.of(dataclasses.replace(JOINT, networks="separate", target="value"), RULE)
     assert apart.reads.tolist() == [[1.0], [1.0], [1.0], [0.0]]
     assert not apart.sums
-    machine = MachineRule.of_card(make_log().card)
+    machine = DynamicsSpecification.of_card(make_log().card)
     plain = Feedback.of(RecurrentEnsembleConfig(), machine)
     assert plain.reads.tolist() == [[1.0], [0.0]]
     forgetful = RecurrentEnsembleConfig(memoryless=("fatigue", "consumption"))
@@ -165,10 +165,10 @@ def test_training_and_roll_outs_predict_the_same() -> None:
     start = windows.train[:7]  # of the first episode, which is long
     inputs, _ = windows.gather(start.expand(2, -1))
     expected = predict_windows(alone.weight, alone.readout, inputs[:, :1], 3, alone.feedback)
-    whole = torch.from_numpy(machine_frames(LOG, RULE))
+    whole = torch.from_numpy(model_frames(LOG, RULE))
     recorded = whole[start[:, None] + 3 - torch.arange(4)][None]
     plain = Normaliser(torch.zeros(1, 3), torch.ones(1, 3))
-    virtual = VirtualMachine(RecurrentTransition([alone], CPU), RULE, plain, CPU)
+    virtual = ModelEnvironment(RecurrentTransition([alone], CPU), RULE, plain, CPU)
     actions = iter(whole[start + 3 + t + 1, :2][None] for t in range(8))
     steps = virtual.unroll(
         recorded[:, :, :1, 2:5], lambda seen: next(actions), 8, recorded=recorded

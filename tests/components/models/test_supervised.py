@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from components.core.random_streams import LaneStreams, normal_draw
 from components.models import supervised
 from components.models.supervised import Monitor, StackedFit
-from components.networks import LaneStreams, normal_draw
-from components.networks.training import Curves
+from components.training.loop import Curves
 from tests.components.interruption import killed_at, lanes, save_always
 from tests.components.synthetic import CPU, keys
 

@@ -5,7 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.networks import Critics, StackedMLP, soft_clipped_maximum, spawn_generators
+from components.core.random_streams import spawn_generators
+from components.networks import Critics, StackedMLP, soft_clipped_maximum
 from tests.components.algorithms.plain import floats, network
 from tests.components.synthetic import keys
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.core.normaliser import Normaliser
 from components.networks import TanhGaussian
 from components.networks.gaussian import LOG_STD_RANGE, log_density, raw_actions
-from components.networks.normaliser import Normaliser
-from components.networks.policy import Policy
+from components.policies.policy import Policy
 from tests.components.algorithms.plain import floats, network
 from tests.components.synthetic import FEATURES, keys, policy_card
 

@@ -6,16 +6,14 @@ import pytest
 import torch
 from torch import nn
 
+from components.core.random_streams import lane_generator, lane_key, spawn_generators
 from components.networks import (
     StackedLinear,
     StackedMLP,
-    lane_generator,
     lane_groups,
-    lane_key,
     lanewise_mean,
     polyak_update,
     select_lanes,
-    spawn_generators,
 )
 from tests.components.synthetic import keys
 

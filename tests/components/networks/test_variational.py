@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from components.algorithms.base import descend
-from components.networks.training import adam
+from components.algorithms.parts.learner import descend
 from components.networks.variational import LATENT_CLIP, ConditionalVAE, divergence_from_prior
+from components.training.loop import adam
 from tests.components.algorithms.plain import floats, network, slopes
 from tests.components.synthetic import keys
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from components.networks import StackedMLP, spawn_generators
+from components.core.random_streams import spawn_generators
+from components.networks import StackedMLP
 from components.networks.weight_norm import WeightNormMLP
 from tests.components.synthetic import keys
 

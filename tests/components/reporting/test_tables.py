@@ -6,7 +6,7 @@ import math
 import pandas
 import pytest
 
-from components.data.catalogue import DATASETS
+from components.data.sources.catalogue import DATASETS
 from components.reporting.tables import (
     COLUMNS,
     markdown_table,

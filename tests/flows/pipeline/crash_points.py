@@ -1,7 +1,7 @@
 """Kills a driver at every step it takes, and continues each time. Run by test_crashes as a process.
 
     python -m tests.flows.pipeline.crash_points disk FOLDER
-    python -m tests.flows.pipeline.crash_points ledger FOLDER
+    python -m tests.flows.pipeline.crash_points tracker FOLDER
 
 For each point a child is forked that kills itself with SIGKILL there: in front of the n-th change
 of the disk (found with an audit hook), or in front of the n-th call of MLflow. A second child then
@@ -20,13 +20,13 @@ from typing import Any
 
 from rich.console import Console
 
-from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import read_json
-from flows.pipeline.ledger import MlflowLedger
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullLedger, run_plan
+from flows.pipeline.runner import NullTracker, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from tests.flows.pipeline.toys import counted, node
 
 _CHANGES = ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "open")
@@ -43,26 +43,26 @@ def small_plan(log: Path) -> list[Node]:
 
 
 def disk_run(home: Path, log: Path) -> bool:
-    """Runs the plan without a ledger."""
-    return _run(home, log, NullLedger())
+    """Runs the plan without a tracker."""
+    return _run(home, log, NullTracker())
 
 
-def ledger_run(home: Path, log: Path) -> bool:
+def tracker_run(home: Path, log: Path) -> bool:
     """Runs the plan with MLflow."""
-    ledger = MlflowLedger(home)
+    tracker = MlflowTracker(home)
     plan = Plan(small_plan(log))
-    ledger.open_sweep("crash", plan=plan)
-    good = _run(home, log, ledger)
-    ledger.close_sweep("FINISHED")
+    tracker.open_sweep("crash", plan=plan)
+    good = _run(home, log, tracker)
+    tracker.close_sweep("FINISHED")
     return good
 
 
-def _run(home: Path, log: Path, ledger: Any) -> bool:
+def _run(home: Path, log: Path, tracker: Any) -> bool:
     with open(os.devnull, "w", encoding="utf-8") as null:
         display = Display(Console(file=null))
         store = ArtifactStore(home)
         plan = Plan(small_plan(log))
-        outcome = run_plan(plan, store, ledger, display, executor=SerialExecutor())
+        outcome = run_plan(plan, store, tracker, display, executor=SerialExecutor())
     # 1 and 2 added up three times.
     value = read_json(store.path(plan.nodes[-1].key) / "value.json")
     return outcome.exit_code == 0 and value == 9.0
@@ -165,7 +165,7 @@ def sweep(
     return point - 1
 
 
-def check_ledger(home: Path) -> str:
+def check_tracker(home: Path) -> str:
     """One finished run per node, all under one parent, none left open, no run without its files."""
     from mlflow import MlflowClient
 
@@ -196,28 +196,28 @@ def main(what: str, folder: Path) -> int:
         points = sweep(folder, disk_run, die_at_change, lambda home: "")
     else:
         template = folder / "template"
-        in_child(lambda: MlflowLedger(template) is not None)
+        in_child(lambda: MlflowTracker(template) is not None)
         # Here and now, so that no child spends seconds on imports.
-        MlflowLedger(folder / "warm")
+        MlflowTracker(folder / "warm")
         points = sweep(
-            folder, ledger_run, lambda n, home: die_at_call(n), check_ledger_of, template
+            folder, tracker_run, lambda n, home: die_at_call(n), check_tracker_of, template
         )
     sys.stdout.write(f"points: {points}\n")
     return 0
 
 
-def check_ledger_of(home: Path) -> str:
+def check_tracker_of(home: Path) -> str:
     """Checks in a child: the parent, which forks, should hold no database connection."""
     reader, writer = os.pipe()
 
     def work() -> bool:
-        os.write(writer, check_ledger(home).encode())
+        os.write(writer, check_tracker(home).encode())
         return True
 
     status = in_child(work)
     os.close(writer)
     with os.fdopen(reader) as pipe:
-        return pipe.read() if status == 0 else "the ledger cannot be read"
+        return pipe.read() if status == 0 else "the tracker cannot be read"
 
 
 if __name__ == "__main__":

@@ -22,6 +22,6 @@ def test_driver_killed_at_every_change_of_the_disk(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_driver_killed_at_every_call_of_mlflow(tmp_path: Path) -> None:
-    *problems, last = points("ledger", tmp_path)
+    *problems, last = points("tracker", tmp_path)
     assert problems == []
     assert int(last.removeprefix("points: ")) > 15  # fewer would mean the wrappers see nothing

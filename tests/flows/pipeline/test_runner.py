@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from flows.pipeline.errors import LedgerError, StoreError
-from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.errors import StoreError, TrackingError
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import Ledger, NullLedger, Outcome, run_plan
+from flows.pipeline.runner import NullTracker, Outcome, Tracker, run_plan
 from flows.pipeline.store import ArtifactStore
 from tests.flows.pipeline.toys import counted, diamond, node
 
@@ -43,12 +43,12 @@ def run(
     nodes: list[Node],
     store: ArtifactStore,
     screen: Display | None = None,
-    ledger: Ledger | None = None,
+    tracker: Tracker | None = None,
 ) -> Outcome:
     return run_plan(
         Plan(nodes),
         store,
-        ledger or NullLedger(),
+        tracker or NullTracker(),
         screen or Screen(),
         executor=SerialExecutor(),
         command="make it so",
@@ -203,7 +203,7 @@ def test_task_that_writes_nothing_or_is_missing_fails_clearly(
     assert "wrote nothing for nothing" in outcome.failed[nothing.key]
 
 
-class BrokenLedger(NullLedger):
+class BrokenTracker(NullTracker):
     """Refuses until it is mended."""
 
     def __init__(self) -> None:
@@ -214,25 +214,25 @@ class BrokenLedger(NullLedger):
     def log_node(self, node: Node, folder: Path) -> None:
         self.asked += 1
         if self.broken:
-            raise LedgerError("MLflow is away: mend it.")
+            raise TrackingError("MLflow is away: mend it.")
         self.known.append(node.name)
 
 
-def test_ledger_that_refuses_costs_no_work(store: ArtifactStore, log: Path) -> None:
+def test_tracker_that_refuses_costs_no_work(store: ArtifactStore, log: Path) -> None:
     nodes = [node("number", f"n{i}", log, number=i) for i in range(5)]
-    ledger = BrokenLedger()
+    tracker = BrokenTracker()
     screen = Screen()
-    outcome = run(nodes, store, screen, ledger)
+    outcome = run(nodes, store, screen, tracker)
     assert len(outcome.finished) == 5
     assert outcome.unrecorded == "MLflow is away: mend it."
     assert (outcome.status, outcome.exit_code) == ("FINISHED", 1)
     assert screen.text.count("MLflow is away") == 1
-    assert ledger.asked < 5  # a server that does not answer is not asked for every node
+    assert tracker.asked < 5  # a server that does not answer is not asked for every node
 
-    ledger.broken = False
-    outcome = run(nodes, store, None, ledger)
+    tracker.broken = False
+    outcome = run(nodes, store, None, tracker)
     assert outcome.exit_code == 0
-    assert sorted(ledger.known) == ["n0", "n1", "n2", "n3", "n4"]
+    assert sorted(tracker.known) == ["n0", "n1", "n2", "n3", "n4"]
 
 
 def test_interrupt_keeps_what_is_finished(store: ArtifactStore, log: Path) -> None:

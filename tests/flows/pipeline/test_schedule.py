@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from flows.pipeline.board import Board, Line
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
+from flows.pipeline.run_state import Line, RunState
 from flows.pipeline.schedule import CostModel, Group, form_groups, play
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
@@ -98,19 +98,19 @@ def test_plan_is_shown_with_counts_and_estimate(store: ArtifactStore, tmp_path: 
     assert not store.root.exists()  # a dry run leaves no trace
 
 
-def board_of(plan: Plan, store: ArtifactStore) -> tuple[Board, list[Group]]:
+def board_of(plan: Plan, store: ArtifactStore) -> tuple[RunState, list[Group]]:
     groups = groups_of(plan, store)
-    return Board(plan, groups, store, 2, ()), groups
+    return RunState(plan, groups, store, 2, ()), groups
 
 
 def test_board_counts_running_fractions_and_failures(tmp_path: Path) -> None:
     store = ArtifactStore(tmp_path / "mlruns")
     plan = fan(tmp_path)
-    board, groups = board_of(plan, store)
+    run_state, groups = board_of(plan, store)
     for group in groups[:2]:
-        board.submitted(group.name)
+        run_state.submitted(group.name)
     write_json(store.progress_file(groups[0].name), {"fraction": 0.5})
-    data, train, collect = board.lines()
+    data, train, collect = run_state.lines()
     assert (data.done, data.total, data.running) == (0, 2, 1)
     assert data.fraction == 0.25
     assert data.remaining is not None
@@ -118,20 +118,20 @@ def test_board_counts_running_fractions_and_failures(tmp_path: Path) -> None:
     assert train.remaining == pytest.approx(3.0, abs=0.2)  # time passes while we look
     assert collect.remaining == pytest.approx(6.0, abs=0.2)
 
-    board.ended(groups[1].name, GroupResult(groups[1].name, failed={groups[1].keys[0]: "why"}))
+    run_state.ended(groups[1].name, GroupResult(groups[1].name, failed={groups[1].keys[0]: "why"}))
     for lane in list(groups[3].nodes):
         groups[3].nodes.remove(lane)
-        board.skipped(lane.key)
-    data, train, _ = board.lines()
+        run_state.skipped(lane.key)
+    data, train, _ = run_state.lines()
     assert (data.failed, train.skipped, train.over) == (1, 2, False)
 
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -> None:
     store = ArtifactStore(tmp_path / "mlruns")
-    board, groups = board_of(fan(tmp_path), store)
+    run_state, groups = board_of(fan(tmp_path), store)
     screen = Screen(terminal=terminal)
-    screen.start(board)
+    screen.start(run_state)
     made = store.work / "made"
     made.mkdir()
     source: Node = groups[0].nodes[0]
@@ -140,12 +140,12 @@ def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -
         {"key": source.key, "component": "data", "cost": 1.0, "seconds": 1.0, "tags": {}},
     )
     store.publish(made, source.key)
-    board.submitted(groups[0].name)
-    board.ended(groups[0].name, GroupResult(groups[0].name, finished=[source.key]))
-    screen.update(board)
-    screen.update(board)
+    run_state.submitted(groups[0].name)
+    run_state.ended(groups[0].name, GroupResult(groups[0].name, finished=[source.key]))
+    screen.update(run_state)
+    screen.update(run_state)
     screen.note("a [bracket] stays")
-    screen.stop(board)
+    screen.stop(run_state)
     text = screen.file.getvalue()
     assert "a [bracket] stays" in text
     assert "1/2" in text

@@ -6,17 +6,17 @@ python -m tests.flows.tuning.ray_driver STORE LOG TRIALS
 import sys
 from pathlib import Path
 
-from flows.pipeline.executors import RayExecutor
-from flows.tuning.ledger import TrialLedger
+from flows.pipeline.executors.ray import RayExecutor
+from flows.tuning.trial_tracker import TrialTracker
 from tests.flows.tuning.toys import run
 
 
 def main(home: Path, log: Path, trials: int) -> int:
     """Searches on two processors."""
-    ledger = TrialLedger(home)
-    ledger.open_sweep("search")
-    outcome = run(home, log, trials, ledger=ledger, executor=RayExecutor(cpus=2))
-    ledger.close_sweep(outcome.status)
+    tracker = TrialTracker(home)
+    tracker.open_sweep("search")
+    outcome = run(home, log, trials, tracker=tracker, executor=RayExecutor(cpus=2))
+    tracker.close_sweep(outcome.status)
     return outcome.exit_code
 
 

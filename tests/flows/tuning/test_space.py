@@ -6,7 +6,7 @@ import optuna
 import pytest
 
 from components.models import MODELS
-from flows.settings import load_settings
+from flows.configuration.settings import load_settings
 from flows.tuning import space as spaces
 from flows.tuning.space import SPACES, Choice, Range, RangeOrZero, Whole
 

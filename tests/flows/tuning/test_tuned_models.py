@@ -14,13 +14,13 @@ import yaml
 from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from flows import full_benchmark, tune_models
-from flows.benchmark import benchmark_plan, model_choice
+from flows.command_line import main
+from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
-from flows.session import main
-from flows.settings import ALIASES, Settings, SettingsError, load_settings
-from flows.tuning.ledger import TrialLedger
+from flows.planning.benchmark import benchmark_plan, model_choice
 from flows.tuning.study import Study, open_journal
+from flows.tuning.trial_tracker import TrialTracker
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 
@@ -135,13 +135,13 @@ def test_tuned_and_per_seed_go_together(home: Path) -> None:
 
 
 def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
-    ledger = TrialLedger(home / "mlruns")
-    [parent] = ledger.client.search_runs([ledger.experiment], "tags.kind = 'search'")
+    tracker = TrialTracker(home / "mlruns")
+    [parent] = tracker.client.search_runs([tracker.experiment], "tags.kind = 'search'")
     assert parent.info.status == "FINISHED"
-    names = {f.path for f in ledger.client.list_artifacts(parent.info.run_id, "report")}
+    names = {f.path for f in tracker.client.list_artifacts(parent.info.run_id, "report")}
     assert names == {f"report/{model}.yaml" for model in CHOSEN}
     for model, study in studies_of(home).items():
-        runs = ledger.client.search_runs([ledger.experiment], f"tags.study = '{study.name}'")
+        runs = tracker.client.search_runs([tracker.experiment], f"tags.study = '{study.name}'")
         assert {int(run.data.tags["trial"]) for run in runs} == set(range(TRIALS))
         assert len(runs) == TRIALS
         for run in runs:
@@ -151,7 +151,7 @@ def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
             assert run.data.metrics["validation_loss"] == trial.value
             assert run.data.tags["key"] == trial.user_attrs["key"]
             assert run.info.run_name == f"{model}/mediocre-0.2/trial{trial.number}"
-        lowest = ledger.client.get_metric_history(
+        lowest = tracker.client.get_metric_history(
             parent.info.run_id, f"best_loss/mediocre-0.2/{model}"
         )
         assert [m.step for m in lowest] == list(range(TRIALS))
@@ -276,14 +276,14 @@ def test_pruned_failed_and_reused_trials_are_runs_too(
         study._study.enqueue_trial({"x": x, "mood": mood})
     study._study.enqueue_trial({"x": 0.95, "mood": "good"})
 
-    ledger = TrialLedger(place)
-    ledger.open_sweep("first")
+    tracker = TrialTracker(place)
+    tracker.open_sweep("first")
     (log / "interrupt").touch()
-    assert search_toy(place, log, 7, ledger=ledger).exit_code == 130
-    ledger.close_sweep("KILLED")
-    again = TrialLedger(place)
+    assert search_toy(place, log, 7, tracker=tracker).exit_code == 130
+    tracker.close_sweep("KILLED")
+    again = TrialTracker(place)
     parent = again.open_sweep("first")
-    assert search_toy(place, log, 7, ledger=again).exit_code == 0
+    assert search_toy(place, log, 7, tracker=again).exit_code == 0
     again.close_sweep("FINISHED")
 
     trials = toy_study(place, log).trials()

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from components.environments import industrial_benchmark
+from components.environments.industrial import benchmark as industrial_benchmark
 from flows import tune_models
-from flows.benchmark import data_plan
-from flows.pipeline.executors import SerialExecutor
+from flows.configuration.settings import load_settings
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullLedger, run_plan
+from flows.pipeline.runner import NullTracker, run_plan
 from flows.pipeline.store import ArtifactStore
-from flows.settings import load_settings
+from flows.planning.benchmark import data_plan
 from flows.tuning.search import search
 from flows.tuning.study import Study, open_journal
-from tests.flows.tuning.toys import NullTrialLedger
+from tests.flows.tuning.toys import NullTrialTracker
 
 FORBIDDEN = (
     "components.environments", "components.evaluation", "components.algorithms",
@@ -27,7 +27,7 @@ FORBIDDEN = (
 
 def test_search_code_loads_no_environment_evaluation_or_algorithm() -> None:
     script = (
-        "import pkgutil, sys, importlib, flows.fitting, flows.tuning\n"
+        "import pkgutil, sys, importlib, flows.tasks.model_fitting, flows.tuning\n"
         "for module in pkgutil.iter_modules(flows.tuning.__path__, 'flows.tuning.'):\n"
         "    importlib.import_module(module.name)\n"
         "print('flows.tuning.search' in sys.modules, 'components.models' in sys.modules)\n"
@@ -54,7 +54,7 @@ def test_no_environment_is_stepped_during_a_search(
 
     def generate() -> int:
         return run_plan(
-            data_plan(settings), store, NullLedger(), Display(), executor=SerialExecutor()
+            data_plan(settings), store, NullTracker(), Display(), executor=SerialExecutor()
         ).exit_code
 
     stepped = []
@@ -87,7 +87,7 @@ def test_no_environment_is_stepped_during_a_search(
             monkeypatch.setattr(kind, name, refuse)
     journal = open_journal(tmp_path / "journal.log")
     studies = [Study(subject, journal) for subject in tune_models.subjects(settings)]
-    outcome = search(studies, 2, store, NullTrialLedger(), SerialExecutor(), lambda text: None)
+    outcome = search(studies, 2, store, NullTrialTracker(), SerialExecutor(), lambda text: None)
     assert outcome.exit_code == 0
     assert [study.spent for study in studies] == [2, 2]
     assert stepped == []

@@ -7,15 +7,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from flows.pipeline.executors import SerialExecutor
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
-from flows.tuning.ledger import TrialRecord
 from flows.tuning.search import Outcome, search
 from flows.tuning.space import Choice, Range, Space
 from flows.tuning.study import Study, Subject, open_journal
+from flows.tuning.trial_tracker import TrialRecord
 from tests.flows.pipeline.toys import count, wait_for
 
 STEPS = 20
@@ -93,7 +93,7 @@ def subject(log: Path, **start: Any) -> Subject:
     return Subject("made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node)
 
 
-class NullTrialLedger:
+class NullTrialTracker:
     """Remembers nothing."""
 
     def recorded(self, study: str) -> set[int]:
@@ -112,7 +112,7 @@ def study(home: Path, log: Path, **start: Any) -> Study:
 def run(home: Path, log: Path, trials: int, **kind: Any) -> Outcome:
     """A whole search by a new driver, in this process."""
     notes = kind.pop("notes", [])
-    ledger = kind.pop("ledger", NullTrialLedger())
+    tracker = kind.pop("tracker", NullTrialTracker())
     executor = kind.pop("executor", None) or SerialExecutor()
     found = [study(home, log, **kind)]
-    return search(found, trials, ArtifactStore(home), ledger, executor, notes.append)
+    return search(found, trials, ArtifactStore(home), tracker, executor, notes.append)

@@ -1,0 +1,183 @@
+"""What every algorithm is given, and the little they share."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from components.core.random_streams import LaneStreams
+from components.core.tensors import (
+    load_optimizer_state,
+    module_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
+from components.data.batches import LaneData
+from components.data.dataset import OfflineDataset
+from components.data.dynamics import DynamicsSpecification
+from components.policies.policy import Policy, PolicyCard
+from components.training.cuda_graphs import BranchingLearner
+from components.training.loop import adam
+
+__all__ = [
+    "LearnerInputs",
+    "PolicyLearner",
+    "Scalars",
+    "StackedLearner",
+    "adam_each",
+    "descend",
+    "first_rows",
+    "gather_gradients",
+    "saturation",
+]
+
+SATURATED = 0.99
+M = TypeVar("M")
+
+
+@dataclass(frozen=True)
+class LearnerInputs:
+    """Data, random streams and fitted models of L lanes.
+
+    Attributes:
+        data: The lanes' datasets on their device.
+        keys: One random stream per lane, a digest of (dataset, algorithm, seed).
+        models: Fitted models by name in :data:`components.models.MODELS`, one per lane each.
+    """
+
+    data: LaneData
+    keys: Sequence[int]
+    models: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+    def fitted(self, name: str, kind: type[M]) -> list[M]:
+        """The lanes' models of a name, all of them of the given class.
+
+        Raises:
+            ValueError: If there are others, or not one per lane.
+        """
+        found = [model for model in self.models.get(name, ()) if isinstance(model, kind)]
+        if len(found) != self.data.lanes:
+            raise ValueError(f"{self.data.lanes} lanes need as many {kind.__name__} as {name!r}.")
+        return found
+
+    @property
+    def machine(self) -> DynamicsSpecification:
+        """What the datasets' cards say about the machine; equal for all lanes."""
+        rules = {DynamicsSpecification.of_card(dataset.card) for dataset in self.data.datasets}
+        if len(rules) != 1:
+            raise ValueError("Lanes of one stack must come from the same kind of machine.")
+        return rules.pop()
+
+    @property
+    def mean_window_returns(self) -> list[float]:
+        """Mean discounted 100-step return of each lane's log, over all window starts."""
+        return [dataset.card.all_windows_return_mean for dataset in self.data.datasets]
+
+
+class PolicyLearner(BranchingLearner, Protocol):
+    """A stack of learners that can be deployed."""
+
+    def policy(self, card: PolicyCard) -> Policy:
+        """The current policies, one per lane."""
+
+
+class StackedLearner:
+    """What all stacks share: named networks and optimisers, kept and put back as one state.
+
+    Subclasses fill the two mappings; targets and learned scalars are networks too.
+    """
+
+    _networks: Mapping[str, nn.Module]
+    _optimizers: Mapping[str, torch.optim.Optimizer]
+    _streams: LaneStreams
+
+    def stage(self, step: int) -> None:
+        """Put a step's draws where those of all staged steps lie."""
+        self._streams.stage(step)
+
+    def branch(self, step: int) -> Hashable | None:
+        """Equal for steps whose updates do the same but for what is drawn; None: unlike others.
+
+        On a GPU such updates become graphs, see :mod:`components.training.cuda_graphs`. Where the
+        step number itself has a say, learners give their own answer.
+        """
+        return "all"
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All networks and optimisers, lane axis first in every tensor."""
+        state = module_state(self._networks)
+        for name, optimizer in self._optimizers.items():
+            state |= prefixed(f"{name}_optimizer", optimizer_state(optimizer))
+        return state
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned."""
+        for name, network in self._networks.items():
+            network.load_state_dict(with_prefix(name, state))
+        for name, optimizer in self._optimizers.items():
+            load_optimizer_state(optimizer, with_prefix(f"{name}_optimizer", state))
+
+
+class Scalars(nn.Module):
+    """One learned number per lane, such as a multiplier: ``value [L]``."""
+
+    def __init__(self, lanes: int, initial: float) -> None:
+        super().__init__()
+        self.value = nn.Parameter(torch.full((lanes,), initial))
+
+
+def adam_each(
+    networks: Mapping[str, nn.Module], rates: Mapping[str, float]
+) -> dict[str, torch.optim.Optimizer]:
+    """An Adam optimiser for each network that is given a learning rate."""
+    return {name: adam(list(networks[name].parameters()), rate) for name, rate in rates.items()}
+
+
+def gather_gradients(whole: nn.Module, parts: Sequence[nn.Module]) -> None:
+    """Give a stack the gradients of its parts, see :func:`~components.networks.lane_groups`."""
+    for parameter, *own in zip(whole.parameters(), *(p.parameters() for p in parts), strict=True):
+        parameter.grad = torch.cat([p.grad for p in own if p.grad is not None])
+
+
+def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+    """Step ``optimizer`` down the gradient of ``loss [L]``, summed over lanes.
+
+    Only the optimiser's own parameters get a gradient: an actor's loss does not pay for the
+    gradients of the critic it goes through.
+    """
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    gradients = torch.autograd.grad(loss.sum(), parameters)
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient
+    optimizer.step()
+
+
+def saturation(actions: Tensor) -> Tensor:
+    """Share of action entries on a bound (beyond 0.99), ``[L]``."""
+    return (actions.detach().abs() > SATURATED).flatten(1).float().mean(dim=1)
+
+
+def first_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
+    """Transitions among the first ``window`` of their episode, ``[<= E * window]``.
+
+    Args:
+        dataset: The log.
+        window: Steps of an episode.
+        after: Of these, so many at its beginning do not count.
+
+    Raises:
+        ValueError: If no episode is longer than ``after``.
+    """
+    step = np.arange(dataset.transitions) - dataset.episode_starts[dataset.episode_index()]
+    found = np.flatnonzero((after <= step) & (step < window))
+    if not len(found):
+        raise ValueError(
+            f"No trajectory of {dataset.card.name} has a step among its first {window} but not "
+            f"among its first {after}; lower start_after."
+        )
+    return found

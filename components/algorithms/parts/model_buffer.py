@@ -1,0 +1,98 @@
+"""Virtual transitions in a ring, as short trajectories that begin at recorded states.
+
+A trajectory of T steps is kept as the logged row it began at and its T new frames, actions and
+rewards. Its observations are put together when a batch is drawn: behind the start's recorded
+history stand the new frames, newest first, so that every observation is one run of memory.
+Stacked histories, thirty times as wide, are never stored.
+
+A trajectory may end before its T steps are over. What was made after its end is never drawn: its
+steps up to there are drawn the more often, again from the first one on.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from components.data.batches import Batch, LaneData
+
+__all__ = ["ModelBuffer"]
+
+
+class ModelBuffer(nn.Module):
+    """Rings of L lanes; a module, so that its contents are part of the learner's state.
+
+    Args:
+        data: The lanes' datasets, in which trajectories begin.
+        capacity: C, trajectories a lane.
+        length: T, steps of each.
+    """
+
+    start: Tensor  # [L, C] logged row
+    frames: Tensor  # [L, C, T, F] scaled, newest first: step t stands at T - 1 - t
+    actions: Tensor  # [L, C, T, A]
+    rewards: Tensor  # [L, C, T]
+    ended: Tensor  # [L, C] step after which a state is terminal, or T if none is
+
+    def __init__(self, data: LaneData, capacity: int, length: int) -> None:
+        super().__init__()
+        self._data, self._length = data, length
+        shape, device = (data.lanes, capacity, length), data.device
+        self.register_buffer("start", torch.zeros(shape[:2], dtype=torch.int64, device=device))
+        self.register_buffer("frames", torch.zeros((*shape, data.frame_width), device=device))
+        self.register_buffer("actions", torch.zeros((*shape, data.action_width), device=device))
+        self.register_buffer("rewards", torch.zeros(shape, device=device))
+        never = torch.full(shape[:2], length, dtype=torch.int16, device=device)
+        self.register_buffer("ended", never)
+
+    def write(
+        self,
+        place: int,
+        start: Tensor,
+        frames: Sequence[Tensor],
+        actions: Sequence[Tensor],
+        rewards: Sequence[Tensor],
+        ended: Tensor | None = None,
+    ) -> None:
+        """Put N trajectories at ``place`` and after it.
+
+        Args:
+            place: From 0; the N trajectories must fit in between it and the ring's end.
+            start: ``[L, N]`` rows they began at.
+            frames: T frames ``[L, N, F]`` after each action, oldest first.
+            actions: T actions ``[L, N, A]``.
+            rewards: T rewards ``[L, N]``.
+            ended: ``[L, N]`` first step after which the state is terminal, or T; None: no
+                trajectory has ended.
+        """
+        places = slice(place, place + start.shape[1])
+        self.start[:, places] = start
+        self.frames[:, places] = torch.stack([*reversed(frames)], dim=2)
+        self.actions[:, places] = torch.stack([*actions], dim=2)
+        self.rewards[:, places] = torch.stack([*rewards], dim=2)
+        self.ended[:, places] = self._length if ended is None else ended.to(self.ended.dtype)
+
+    def batch(self, index: Tensor) -> Batch:
+        """Transitions ``index [L, B]``: ``n T + t`` is step t of the trajectory at place n."""
+        place, step = index // self._length, index % self._length
+        lane = torch.arange(len(index), device=index.device)[:, None]
+        ended = self.ended[lane, place].long()
+        step = step % (ended + 1)  # at most T - 1, and so itself, where nothing has ended
+        recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
+        whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
+        # One frame more than a history, for the next observation's newest one.
+        width, seen = self._data.frame_width, self._data.observation_width
+        rows, span = whole.numel() // width, seen + width
+        windows = whole.as_strided((rows - span // width + 1, span), (width, 1))
+        count = whole.shape[-1] // width  # frames of a transition's row in ``whole``
+        newest = count * torch.arange(index.numel(), device=index.device).view(index.shape)
+        newest = newest + (self._length - 1 - step)
+        window = windows.index_select(0, newest.flatten()).view(*index.shape, span)
+        rewards = self.rewards[lane, place, step]
+        return Batch(
+            observations=window[:, :, width:],
+            actions=self.actions[lane, place, step],
+            rewards=rewards,
+            next_observations=window[:, :, :seen],
+            continues=(step != ended).to(rewards.dtype),
+        )

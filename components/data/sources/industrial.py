@@ -1,0 +1,148 @@
+"""The sixteen Industrial Benchmark datasets.
+
+Source: thesis section 3.1.1. Three controllers, five amounts of exploration each, and one dataset
+of exploration alone, which is the same for all three and is called mediocre-1.0 here (global-1.0
+by its authors). Names are those of the thesis's tables.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from components.data.assembly import assemble
+from components.data.controllers.industrial import CONTROLLERS
+from components.data.dataset import OfflineDataset
+from components.data.sources.industrial_collection import Log, collect
+from components.environments import INDUSTRIAL_BENCHMARK_ID
+from components.environments.frame_history import HISTORY_LENGTH
+from components.environments.industrial.benchmark import DYNAMICS, FRAME_FEATURES, STEERINGS
+
+__all__ = ["INDUSTRIAL_DATASETS", "IndustrialSpec", "dataset_from_log"]
+
+
+@dataclass(frozen=True)
+class IndustrialSpec:
+    """What an Industrial Benchmark dataset is made of.
+
+    Attributes:
+        name: part of the random stream's identity.
+        controller: one of `CONTROLLERS`.
+        epsilon: chance per step of a whole random action vector, 0 ... 1.
+        setpoint: of the machine, 0 ... 100.
+        trajectories: number of episodes.
+        steps: transitions per episode.
+        discount: of the returns on the card.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    name: str
+    controller: str
+    epsilon: float
+    setpoint: float = 70.0
+    trajectories: int = 100
+    steps: int = 1000
+    discount: float = 0.97
+
+    def __post_init__(self) -> None:
+        if self.controller not in CONTROLLERS:
+            known = ", ".join(CONTROLLERS)
+            raise ValueError(f"unknown controller {self.controller!r}; known are {known}.")
+        if not 0.0 <= self.epsilon <= 1.0:
+            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        if not 0.0 <= self.setpoint <= 100.0:
+            raise ValueError(f"setpoint is {self.setpoint}; give a number from 0 to 100.")
+        if self.trajectories < 1 or self.steps < 1:
+            raise ValueError(
+                f"{self.trajectories} trajectories of {self.steps} steps make no dataset; "
+                "both must be at least 1."
+            )
+        if not 0.0 < self.discount <= 1.0:
+            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
+
+    @property
+    def environment(self) -> str:
+        """Gymnasium id of the system."""
+        return INDUSTRIAL_BENCHMARK_ID
+
+    @property
+    def environment_parameters(self) -> Mapping[str, Any]:
+        """Its parameters."""
+        return {"setpoint": self.setpoint}
+
+    @property
+    def history(self) -> int:
+        """Frames in an observation: the machine shows its state only in part."""
+        return HISTORY_LENGTH
+
+    @property
+    def ingredients(self) -> Mapping[str, str]:
+        """Digests of stored things it is made with: none."""
+        return {}
+
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
+        """Make the dataset, in one thread; the same bytes for the same specification and seed."""
+        noise, exploration = _generators(self.name, seed)
+        log = collect(
+            CONTROLLERS[self.controller],
+            epsilon=self.epsilon,
+            setpoint=self.setpoint,
+            trajectories=self.trajectories,
+            steps=self.steps,
+            noise=noise,
+            exploration=exploration,
+        )
+        return dataset_from_log(log, self, seed)
+
+
+def _catalogue() -> dict[str, IndustrialSpec]:
+    pairs = [(controller, tenths) for controller in CONTROLLERS for tenths in (0, 2, 4, 6, 8)]
+    pairs.insert(pairs.index(("mediocre", 8)) + 1, ("mediocre", 10))
+    specs = [IndustrialSpec(f"{c}-{tenths / 10}", c, tenths / 10) for c, tenths in pairs]
+    return {spec.name: spec for spec in specs}
+
+
+INDUSTRIAL_DATASETS: Final[Mapping[str, IndustrialSpec]] = MappingProxyType(_catalogue())
+"""The sixteen datasets in the order bad, mediocre, optimized, each by growing epsilon."""
+
+
+def _generators(name: str, seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Generators of noise and exploration, a function of name and seed alone."""
+    digest = hashlib.sha256(f"industrial-benchmark dataset {name} seed {seed}".encode()).digest()
+    sequence = np.random.SeedSequence(int.from_bytes(digest, "little"))
+    noise, exploration = (np.random.Generator(np.random.PCG64(s)) for s in sequence.spawn(2))
+    return noise, exploration
+
+
+def dataset_from_log(log: Log, spec: IndustrialSpec, seed: int) -> OfflineDataset:
+    """Flatten a log and write its card."""
+    e, t = log.rewards.shape
+    truncated = np.zeros((e, t), dtype=np.bool_)
+    truncated[:, -1] = True
+    arrays = {
+        "frames": log.frames.reshape(e * (t + 1), -1),
+        "actions": log.actions.reshape(e * t, -1),
+        "rewards": log.rewards.reshape(e * t),
+        "terminated": np.zeros(e * t, dtype=np.bool_),
+        "truncated": truncated.reshape(e * t),
+        "episode_starts": np.arange(e + 1, dtype=np.int64) * t,
+    }
+    return assemble(
+        arrays,
+        discount=spec.discount,
+        name=spec.name,
+        environment=spec.environment,
+        environment_parameters=spec.environment_parameters,
+        controller=spec.controller,
+        epsilon=spec.epsilon,
+        seed=seed,
+        history=spec.history,
+        frame_features=FRAME_FEATURES,
+        action_features=STEERINGS,
+        machine=DYNAMICS,
+    )

@@ -1,0 +1,185 @@
+"""Log a noisy expert on copies of a robot, so that the log does not depend on the copies.
+
+An episode is known by its number: its start, its exploration and therefore all of it follow from
+(key, number). Copies take numbers in turn as they become free; the log is the episodes in the order
+of their numbers, cut at the wanted number of steps. Long episodes are thus as likely to be in it as
+short ones, whenever they were finished.
+
+Actions are rounded to float32 *before* the robot receives them, so the stored action is the one
+that was executed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.core.random_streams import lane_generator, lane_key
+from components.environments.mujoco.robots import Robots
+
+__all__ = ["Episode", "Exploration", "collect_episodes"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """How a log leaves the expert's path.
+
+    Attributes:
+        epsilon: chance per step that the whole action is uniform on [-1, 1].
+        noise: deviation of the Gaussian noise on every entry of the other actions, which are then
+            clipped to [-1, 1].
+    """
+
+    epsilon: float
+    noise: float
+
+    def plan(self, rng: np.random.Generator, steps: int, actions: int) -> tuple[Array, Array]:
+        """Draw an episode's exploration.
+
+        Returns:
+            `[steps, A]` uniform actions, NaN where the expert acts; `[steps, A]` noise on these.
+        """
+        explores = rng.random(steps) < self.epsilon
+        noise = rng.normal(0.0, self.noise, (steps, actions))
+        uniform = rng.uniform(-1.0, 1.0, (steps, actions))
+        return np.where(explores[:, None], uniform, np.nan), noise
+
+
+@dataclass(frozen=True)
+class Episode:
+    """T steps of one episode.
+
+    Attributes:
+        frames: `[T + 1, F]`; the first is the start's.
+        actions: `[T, A]`.
+        rewards: `[T]` of the state after the action.
+        terminated: whether it ended in a fall; otherwise its time was up.
+    """
+
+    frames: NDArray[np.float32]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminated: bool
+
+    @property
+    def steps(self) -> int:
+        """Number of steps T."""
+        return len(self.rewards)
+
+    def cut(self, steps: int) -> "Episode":
+        """The first steps alone."""
+        if steps >= self.steps:
+            return self
+        return Episode(
+            self.frames[: steps + 1], self.actions[:steps], self.rewards[:steps], terminated=False
+        )
+
+
+class _Stage:
+    """N copies, each of which lives the episode of some number, or none."""
+
+    def __init__(self, machine: Robots, exploration: Exploration, horizon: int, key: int) -> None:
+        self._machine, self._exploration = machine, exploration
+        self._horizon, self._key = horizon, key
+        copies, width = machine.copies, len(machine.action_features)
+        shape = (copies, horizon, width)
+        self._frames = np.empty(
+            (copies, horizon + 1, len(machine.frame_features)), dtype=np.float32
+        )
+        self._actions = np.empty(shape, dtype=np.float32)
+        self._rewards = np.empty((copies, horizon), dtype=np.float32)
+        self._uniform, self._noise = np.zeros(shape), np.zeros(shape)
+        self._copies = np.arange(copies)
+        self._number = np.full(copies, -1)  # of the episode; -1 for none
+        self._elapsed = np.zeros(copies, dtype=np.int64)
+        self._starts = [lane_generator(key)] * copies  # of each copy's episode
+        self._current = machine.reset(self._starts)  # undone by the episodes' own starts
+        self._begun = 0
+        self.lived = 0  # steps of all begun episodes so far
+
+    @property
+    def busy(self) -> bool:
+        """Whether any copy lives an episode."""
+        return bool((self._number >= 0).any())
+
+    def fill(self) -> None:
+        """Begin the next episodes on all copies that live none."""
+        free = self._copies[self._number < 0]
+        if not len(free):
+            return
+        for copy in free:
+            number, self._begun = self._begun, self._begun + 1
+            self._number[copy] = number
+            self._starts[copy] = lane_generator(lane_key(self._key, "start"), number)
+            rng = lane_generator(lane_key(self._key, "exploration"), number)
+            planned = self._exploration.plan(rng, self._horizon, self._actions.shape[2])
+            self._uniform[copy], self._noise[copy] = planned
+        self._elapsed[free] = 0
+        mask = np.isin(self._copies, free)
+        self._current[free] = self._machine.reset_copies(mask, self._starts)
+        self._frames[free, 0] = self._current[free]
+
+    def step(self, expert: Callable[[Array], Array]) -> dict[int, Episode]:
+        """Let every copy act once; returns the episodes that end, by number."""
+        living = self._copies[self._number >= 0]
+        at = self._elapsed[living]
+        taken = np.zeros_like(self._actions[:, 0])
+        uniform, noise = self._uniform[living, at], self._noise[living, at]
+        noisy = np.clip(expert(self._current[living]) + noise, -1.0, 1.0)
+        taken[living] = np.where(np.isnan(uniform), noisy, uniform)
+        self._current, rewards = self._machine.step(taken.astype(np.float64))
+        self._actions[living, at], self._rewards[living, at] = taken[living], rewards[living]
+        self._frames[living, at + 1] = self._current[living]
+        self._elapsed[living] += 1
+        self.lived += len(living)
+        fallen = self._machine.terminated
+        ended = living[fallen[living] | (self._elapsed[living] == self._horizon)]
+        finished = {int(self._number[copy]): self._episode(copy, fallen[copy]) for copy in ended}
+        self._number[ended] = -1
+        return finished
+
+    def _episode(self, copy: int, fallen: np.bool_) -> Episode:
+        t = self._elapsed[copy]
+        return Episode(
+            self._frames[copy, : t + 1].copy(),
+            self._actions[copy, :t].copy(),
+            self._rewards[copy, :t].copy(),
+            bool(fallen),
+        )
+
+
+def collect_episodes(
+    expert: Callable[[Array], Array],
+    machine: Robots,
+    exploration: Exploration,
+    *,
+    horizon: int,
+    transitions: int,
+    key: int,
+) -> list[Episode]:
+    """Log episodes until there are enough steps; the last one is cut to fit.
+
+    Args:
+        expert: maps frames `[N, F]` to actions `[N, A]`.
+        machine: copies of the robot.
+        exploration: how the log leaves the expert's path.
+        horizon: steps after which an episode's time is up.
+        transitions: steps in all.
+        key: random stream.
+    """
+    stage = _Stage(machine, exploration, horizon, key)
+    finished: dict[int, Episode] = {}
+    stage.fill()
+    while stage.busy:
+        finished |= stage.step(expert)
+        if stage.lived < transitions:  # all that begin also end, and every step of theirs counts
+            stage.fill()
+    log: list[Episode] = []
+    missing = transitions
+    while missing > 0:
+        log.append(finished[len(log)].cut(missing))
+        missing -= log[-1].steps
+    return log

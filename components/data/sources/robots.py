@@ -1,0 +1,228 @@
+"""The three robot datasets: what they are made of and how they are made.
+
+Source: thesis section 3.1.2 and the "imperfect demonstrations" of Fujimoto et al., "Off-Policy Deep
+Reinforcement Learning without Exploration" (2019): an expert trained online by DDPG acts with
+Gaussian noise, three steps in ten are uniformly random. The authors' repository collects 100,000
+steps for this task; the thesis says 1,000,000, which are taken.
+
+Episodes end with a fall, which is terminal, or when their time is up, which is not.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.core.random_streams import lane_key
+from components.data.assembly import assemble
+from components.data.controllers.trained.shipped import SHIPPED, Expert
+from components.data.dataset import OfflineDataset
+from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
+from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
+from components.environments.mujoco.robots import Robots
+from components.environments.mujoco.specifications import (
+    HOPPER,
+    PHYSICS,
+    SWIMMER,
+    WALKER2D,
+    Robot,
+    simulator_version,
+)
+
+__all__ = ["ROBOTS", "ROBOT_DATASETS", "RobotSpec", "dynamics_section", "make_robots"]
+
+ROBOTS: Final[Mapping[str, str]] = MappingProxyType(
+    {"swimmer": SWIMMER_ID, "hopper": HOPPER_ID, "walker2d": WALKER2D_ID}
+)
+"""Gymnasium ids of the robots."""
+
+_KINDS: Final[Mapping[str, Robot]] = MappingProxyType(
+    {"swimmer": SWIMMER, "hopper": HOPPER, "walker2d": WALKER2D}
+)
+_COPIES: Final = 100  # stepped together; the log does not depend on their number
+
+
+def make_robots(robot: str, copies: int, physics: str, threads: int = 1) -> Robots:
+    """Copies of one of `ROBOTS`, each of which can be started by a generator of its own."""
+    return Robots(_KINDS[robot], copies, physics, threads)
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """What a robot dataset is made of.
+
+    Attributes:
+        name: part of the random stream's identity.
+        robot: one of `ROBOTS`.
+        epsilon: chance per step of a whole uniform action, 0 ... 1.
+        noise: deviation of the Gaussian noise on the expert's own actions.
+        transitions: steps in all.
+        steps: after so many an episode's time is up.
+        physics: variant of the system, "v3" or "v5".
+        discount: of the returns on the card.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    name: str
+    robot: str
+    epsilon: float = 0.3
+    noise: float = 0.3
+    transitions: int = 1_000_000
+    steps: int = 1000
+    physics: str = "v3"
+    discount: float = 0.99
+
+    def __post_init__(self) -> None:
+        for value, what, known in (
+            (self.robot, "robot", tuple(ROBOTS)),
+            (self.physics, "physics", PHYSICS),
+        ):
+            if value not in known:
+                raise ValueError(f"unknown {what} {value!r}; known are {', '.join(known)}.")
+        if not 0.0 <= self.epsilon <= 1.0:
+            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        if self.noise < 0.0:
+            raise ValueError(f"noise is {self.noise}; give a number from 0.")
+        if self.transitions < 1 or self.steps < 1:
+            raise ValueError(
+                f"{self.transitions} transitions in episodes of {self.steps} steps make no "
+                "dataset; both must be at least 1."
+            )
+        if not 0.0 < self.discount <= 1.0:
+            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
+
+    @property
+    def environment(self) -> str:
+        """Gymnasium id of the system."""
+        return ROBOTS[self.robot]
+
+    @property
+    def environment_parameters(self) -> Mapping[str, Any]:
+        """Its parameters."""
+        return {"physics": self.physics}
+
+    @property
+    def history(self) -> int:
+        """Frames in an observation: one shows the state whole."""
+        return 1
+
+    @property
+    def ingredients(self) -> Mapping[str, str]:
+        """The digest of the expert that ships with this package.
+
+        Raises:
+            FileNotFoundError: it is missing.
+            ValueError: it is damaged.
+        """
+        return {"expert": self._expert().card.digest}
+
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
+        """Make the dataset; the same bytes for the same specification, expert and seed.
+
+        Raises:
+            FileNotFoundError: the robot's expert is missing.
+            ValueError: the expert is damaged or knows another robot.
+        """
+        expert = self._expert()
+        machine = make_robots(self.robot, _COPIES, self.physics, threads)
+        if expert.policy.card.features != tuple(machine.frame_features):
+            raise ValueError(
+                f"the expert of {expert.card.robot} does not know the frames of "
+                f"{self.environment}; train one with `python -m flows.train_experts`."
+            )
+        episodes = collect_episodes(
+            expert.act,
+            machine,
+            Exploration(self.epsilon, self.noise),
+            horizon=self.steps,
+            transitions=self.transitions,
+            key=lane_key("robot dataset", self.name, seed),
+        )
+        return _assemble(self, seed, expert, machine, episodes)
+
+    def _expert(self) -> Expert:
+        return Expert.load(SHIPPED / self.robot)
+
+
+ROBOT_DATASETS: Final[Mapping[str, RobotSpec]] = MappingProxyType(
+    {robot: RobotSpec(robot, robot) for robot in ROBOTS}
+)
+"""The three datasets, named like their robots."""
+
+
+def dynamics_section(robot: Robot) -> dict[str, Any]:
+    """What is known of a robot without learning: that it is told its action, and nothing else.
+
+    Returns:
+        `known`: features that follow from the action, as clip(keep * old + scale * action, low,
+        high); `learned`: those to be predicted; `reward`: weights of learned ones in the reward;
+        of robots that can fall also `healthy`: the ranges of frame features, bounds excluded,
+        within which they stand (None: no bound). Learners look at these only where their authors
+        do, which is MOPO alone.
+    """
+    actions, frame = robot.action_features, robot.frame_features
+    section = {
+        "known": {
+            "features": list(actions),
+            "keep": [0.0] * len(actions),
+            "scale": [1.0] * len(actions),
+            "low": -1.0,
+            "high": 1.0,
+        },
+        "learned": [*frame, "reward"],
+        "reward": {"reward": 1.0},
+    }
+    if robot.health is None:
+        return section
+    height, angle, *others = frame  # what stands upright shows these first
+    state = robot.health.state
+    limits = {height: robot.health.height, angle: (-robot.health.angle, robot.health.angle)}
+    limits |= dict.fromkeys(others, (-state, state))
+    healthy = {
+        name: [end if math.isfinite(end) else None for end in ends]
+        for name, ends in limits.items()
+        if any(map(math.isfinite, ends))
+    }
+    return section | {"healthy": healthy}
+
+
+def _assemble(
+    spec: RobotSpec, seed: int, expert: Expert, machine: Robots, episodes: Sequence[Episode]
+) -> OfflineDataset:
+    """Lay episodes of different lengths one after the other and write their card."""
+    lengths = [episode.steps for episode in episodes]
+    last = np.cumsum(lengths) - 1
+    terminated, truncated = (np.zeros(sum(lengths), dtype=np.bool_) for _ in range(2))
+    terminated[last] = [episode.terminated for episode in episodes]
+    truncated[last] = ~terminated[last]
+    arrays: dict[str, NDArray[Any]] = {
+        "frames": np.concatenate([episode.frames for episode in episodes]),
+        "actions": np.concatenate([episode.actions for episode in episodes]),
+        "rewards": np.concatenate([episode.rewards for episode in episodes]),
+        "terminated": terminated,
+        "truncated": truncated,
+        "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
+    }
+    return assemble(
+        arrays,
+        discount=spec.discount,
+        name=spec.name,
+        environment=spec.environment,
+        environment_parameters=spec.environment_parameters,
+        controller="expert",
+        controller_digest=expert.card.digest,
+        epsilon=spec.epsilon,
+        noise=spec.noise,
+        seed=seed,
+        history=spec.history,
+        frame_features=tuple(machine.frame_features),
+        action_features=tuple(machine.action_features),
+        machine=dynamics_section(_KINDS[spec.robot]),
+        simulator=simulator_version(),
+    )

@@ -1,0 +1,277 @@
+"""Unroll policies through a learned ensemble: the one place where virtual trajectories are made.
+
+Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
+policy acts, the known features of the machine's frame follow exactly (differentiably), every member
+predicts the learned ones, and one prediction becomes the next frame, clipped to the range of the
+training data unless told otherwise; policies see of it what the log's frames hold, see
+:mod:`components.data.dynamics`. Which one is the propagation:
+
+- ``"minimum"``: per trajectory and step the member that predicts the lowest reward (thesis 6.4 and
+  5.17);
+- ``"isolated"``: every member continues its own copy of each trajectory (thesis 5.15);
+- a tensor of member numbers per step and trajectory: a random elite at every step (MOPO), or one
+  member for the whole trajectory (MOReL).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import torch
+from torch import Tensor
+
+from components.core.normaliser import Normaliser
+from components.data.dynamics import DynamicsSpecification
+
+__all__ = [
+    "ModelEnvironment",
+    "Prediction",
+    "PredictionRange",
+    "Propagation",
+    "RolloutStep",
+    "TransitionModel",
+    "discounted_sum",
+]
+
+Act = Callable[[Tensor], Tensor]
+Propagation = Literal["minimum", "isolated"] | Tensor
+PredictionRange = Literal["data", "free"]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What all members say about the next frame.
+
+    Attributes:
+        values: ``[L, D, K, B]`` normalised targets, not clipped.
+        spread: ``[L, D, K, B]`` predicted standard deviations in units of a standardised target;
+            None for deterministic members.
+    """
+
+    values: Tensor
+    spread: Tensor | None = None
+
+
+class TransitionModel(Protocol):
+    """Ensembles of L lanes, K members each.
+
+    Attributes:
+        members: K.
+        memory: G, recorded machine frames to begin with.
+        frames: Scaling of a machine frame's features, ``[L, M]``.
+        low: Smallest normalised targets of the training data, ``[L, D]``.
+        high: Largest.
+        target_scale: One standardised target in normalised units, ``[L, D]``: 1 where values are
+            predicted, the deviation of the changes where changes are.
+    """
+
+    members: int
+    memory: int
+    frames: Normaliser
+    low: Tensor
+    high: Tensor
+    target_scale: Tensor
+
+    def begin(self, recorded: Tensor) -> Any:
+        """State after raw machine frames ``[L, S, B, G, M]``, newest first; S is 1 or K."""
+
+    def predict(
+        self, state: Any, observation: Tensor, known: Tensor, own: Tensor
+    ) -> tuple[Prediction, Any]:
+        """Advance all members by a step.
+
+        Args:
+            state: Of :meth:`begin` or the step before.
+            observation: ``[L, S, B, H * F]`` frames before the action, newest first, in the scaling
+                the policies see.
+            known: ``[L, S, B, M - D]`` normalised known features after the action.
+            own: ``[L, D, S, B]`` normalised targets before the action.
+
+        Returns:
+            Member k's prediction for its own copy, or for the only one; the next state.
+        """
+
+
+@dataclass(frozen=True)
+class RolloutStep:
+    """One step of N virtual trajectories a lane; N is B, or K * B (member-major) in isolation.
+
+    Attributes:
+        observations: ``[L, N, O]`` what the policy saw.
+        actions: ``[L, N, A]``.
+        rewards: ``[L, N]``.
+        frames: ``[L, N, F]`` what policies see of the next frame, scaled as they see it.
+        prediction: Of all members, before the choice and the clipping.
+        drawn: ``[L, D, S, B]`` normalised targets of the next frame, chosen or sampled, before the
+            clipping; S is 1, or K in isolation.
+    """
+
+    observations: Tensor
+    actions: Tensor
+    rewards: Tensor
+    frames: Tensor
+    prediction: Prediction
+    drawn: Tensor
+
+
+class ModelEnvironment:
+    """The learned machine of L lanes.
+
+    Args:
+        model: The lanes' ensembles.
+        rule: How actions move the machine, and what its reward is.
+        scaling: Scaling of the frames that policies see, ``[L, F]``.
+        device: Where to compute.
+        prediction_range: ``data`` clips predictions to the range of the training data, ``free``
+            takes them as they are.
+    """
+
+    def __init__(
+        self,
+        model: TransitionModel,
+        rule: DynamicsSpecification,
+        scaling: Normaliser,
+        device: torch.device,
+        prediction_range: PredictionRange = "data",
+    ) -> None:
+        self.model = model
+        frames = model.frames
+        self._scaling = scaling.to(device)
+        self._rule, self._observed = rule, slice(*rule.observed)
+        self._keep, self._scale = (
+            torch.tensor(numbers, device=device)[:, None, None]
+            for numbers in (rule.keep, rule.scale)
+        )
+        reward = torch.tensor(rule.reward, device=device)
+        count = len(rule.known)
+        # Features that no action moves, those that one does, and the learned ones.
+        self._parts = [count - len(rule.scale), len(rule.scale), len(rule.learned)]
+        self._known_mean, self._known_scale = (
+            _wide(moment[:, :count]) for moment in (frames.mean, frames.scale)
+        )
+        mean, scale = frames.mean[:, count:], frames.scale[:, count:]
+        # Reward of a normalised prediction: weights times scale, and the part of the means.
+        self._reward_weight, self._reward_offset = reward * scale, (reward * mean).sum(dim=1)
+        self._learned_mean, self._learned_scale = _wide(mean), _wide(scale)
+        self._low, self._high = _wide(model.low), _wide(model.high)
+        if prediction_range == "free":
+            self._low, self._high = (torch.full_like(self._low, s * torch.inf) for s in (-1, 1))
+        self._target_scale = _wide(model.target_scale)
+
+    def unroll(
+        self,
+        history: Tensor,
+        act: Act,
+        horizon: int,
+        propagation: Propagation = "minimum",
+        noise: Tensor | None = None,
+        state: Any = None,
+        recorded: Tensor | None = None,
+    ) -> Iterator[RolloutStep]:
+        """Let a policy act for ``horizon`` steps, one after the other.
+
+        Everything is differentiable with respect to whatever ``act`` depends on. Where gradients
+        are switched off, a trajectory's frames are written one before the other into one table,
+        and its histories are windows of that.
+
+        Args:
+            history: ``[L, B, H, F]`` raw frames that policies see, newest first.
+            act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
+                ``[L, N, A]``; called once a step.
+            horizon: Steps T.
+            propagation: Which member is followed; member numbers are ``[T, L, B]``.
+            noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
+                Gaussian instead of taking its mean.
+            state: What the model's ``begin`` returned for this past, if that is known.
+            recorded: ``[L, B, G, M]`` raw machine frames, newest first, see
+                :meth:`components.data.batches.LaneData.recorded`; the newest is enough beside a
+                state. None where policies see whole machine frames: the histories.
+
+        Yields:
+            The T steps.
+        """
+        copies = self.model.members if propagation == "isolated" else 1
+        past = history if recorded is None else recorded
+        history, past = (h[:, None].expand(-1, copies, -1, -1, -1) for h in (history, past))
+        if state is None:
+            state = self.model.begin(past)
+        mean, scale = (m[:, None, None, None] for m in (self._scaling.mean, self._scaling.scale))
+        observation = ((history - mean) / scale).flatten(start_dim=3)
+        width = history.shape[-1]
+        table = None if torch.is_grad_enabled() else _with_room(observation, horizon * width)
+        mean, scale = _wide(self._scaling.mean), _wide(self._scaling.scale)
+        # Features come before trajectories, so that element-wise work runs over long rows.
+        newest = past[:, :, :, 0].permute(0, 3, 1, 2)  # [L, M, S, B]
+        constant, moved, own = newest.split(self._parts, dim=1)
+        own = (own - self._learned_mean) / self._learned_scale
+        for step in range(horizon):
+            seen = observation.flatten(1, 2)
+            action = act(seen)
+            by_feature = action.transpose(1, 2).contiguous().view(*moved.shape)
+            moved = torch.addcmul(by_feature * self._scale, moved, self._keep)
+            moved = moved.clamp(self._rule.low, self._rule.high)
+            known = torch.cat([constant, moved], dim=1)
+            scaled = (known - self._known_mean) / self._known_scale
+            prediction, state = self.model.predict(
+                state, observation, scaled.permute(0, 2, 3, 1), own
+            )
+            drawn = self._choose(prediction, propagation, step, noise)
+            own = drawn.clamp(self._low, self._high)
+            raw = own * self._learned_scale + self._learned_mean
+            shown = torch.cat([known, raw], dim=1)[:, self._observed]
+            frame = ((shown - mean) / scale).permute(0, 2, 3, 1)
+            rewards = self._rewards(own).flatten(1)
+            yield RolloutStep(seen, action, rewards, frame.flatten(1, 2), prediction, drawn)
+            if table is None:
+                observation = torch.cat([frame, observation[..., :-width]], dim=-1)
+            else:
+                start = (horizon - 1 - step) * width
+                table[..., start : start + width] = frame
+                observation = table[..., start : start + observation.shape[-1]]
+
+    def _rewards(self, targets: Tensor) -> Tensor:
+        """Rewards ``[L, S, B]`` of normalised ``targets [L, D, S, B]``."""
+        weighted = (targets * _wide(self._reward_weight)).sum(dim=1)
+        return weighted + self._reward_offset[:, None, None]
+
+    def _choose(
+        self, prediction: Prediction, propagation: Propagation, step: int, noise: Tensor | None
+    ) -> Tensor:
+        """Normalised targets ``[L, D, S, B]`` of the next frame, not clipped."""
+        values = prediction.values
+        chosen: Tensor | None = None
+        if isinstance(propagation, Tensor):
+            chosen = propagation[step][:, None]
+        elif propagation == "minimum":
+            clipped = values.detach().clamp(self._low, self._high)
+            # The first of equal ones; on a CPU many times as fast as argmin.
+            chosen = self._rewards(clipped).min(dim=1, keepdim=True).indices
+        if chosen is not None:
+            values = _pick(values, chosen)
+        if noise is not None and prediction.spread is not None:
+            spread = prediction.spread if chosen is None else _pick(prediction.spread, chosen)
+            values = values + spread * self._target_scale * noise[step][:, :, None]
+        return values
+
+
+def discounted_sum(rewards: list[Tensor], discount: float) -> Tensor:
+    """Returns of trajectories from their rewards step by step: ``T x [...] -> [...]``."""
+    powers = discount ** torch.arange(len(rewards), device=rewards[0].device)
+    return (torch.stack(rewards, dim=-1) * powers).sum(dim=-1)
+
+
+def _wide(per_target: Tensor) -> Tensor:
+    """``[L, D]`` as a factor of ``[L, D, K, B]``."""
+    return per_target[:, :, None, None]
+
+
+def _pick(values: Tensor, member: Tensor) -> Tensor:
+    """Of ``values [L, D, K, B]`` those of ``member [L, 1, B]``: ``[L, D, 1, B]``."""
+    return values.gather(2, member[:, None].expand(-1, values.shape[1], -1, -1))
+
+
+def _with_room(observation: Tensor, before: int) -> Tensor:
+    """A table ``[..., before + O]`` that ends with the observation ``[..., O]``."""
+    table = observation.new_empty(*observation.shape[:-1], before + observation.shape[-1])
+    table[..., before:] = observation
+    return table

@@ -1,0 +1,215 @@
+"""The common training loop: budget, metrics, checkpoints, progress.
+
+A learner knows one update and its own state; everything around it is done here once, for the
+supervised models and for the algorithms alike. The loop is a pure function of the learner and the
+step numbers: where it is interrupted and when it saves have no influence on the result.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from components.core.tensors import load_tensors, save_tensors
+from components.networks.stacked import select_lanes
+
+__all__ = ["Curves", "Learner", "Schedule", "TrainingLoop", "adam"]
+
+
+class Learner(Protocol):
+    """What the loop needs of a stack of L learners."""
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes L."""
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """Do update number ``step`` (from 0) on all lanes; metrics ``[L]`` stay on the device."""
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All that the next update depends on, lane axis first in every tensor."""
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Put back what :meth:`state_dict` returned."""
+
+
+@dataclass
+class Curves:
+    """Learning curves of L lanes: metric name -> (step number, values ``[L]``) pairs."""
+
+    points: dict[str, list[tuple[int, Tensor]]] = field(default_factory=dict)
+
+    def add(self, step: int, metrics: dict[str, Tensor]) -> None:
+        """Append one point per metric."""
+        for name, value in metrics.items():
+            self.points.setdefault(name, []).append((step, value.detach().cpu()))
+
+    def of_lane(self, lane: int) -> dict[str, tuple[list[int], list[float]]]:
+        """Steps and values of one lane, as long as they are finite."""
+        last = self.ended_at(lane)
+        return {
+            name: tuple(map(list, zip(*kept, strict=True)))  # type: ignore[misc]
+            for name, series in self.points.items()
+            if (kept := [(s, float(v[lane])) for s, v in series if last is None or s < last])
+        }
+
+    def ended_at(self, lane: int) -> int | None:
+        """The first step at which a metric of a lane is infinite or undefined, if there is one."""
+        wrong = [
+            step
+            for series in self.points.values()
+            for step, values in series
+            if not math.isfinite(float(values[lane]))
+        ]
+        return min(wrong, default=None)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Values as ``[L, points]``, to be stored beside the learner's state."""
+        return {name: torch.stack([v for _, v in p], dim=1) for name, p in self.points.items()}
+
+    def steps(self) -> dict[str, list[int]]:
+        """Step numbers of every metric's points."""
+        return {name: [step for step, _ in series] for name, series in self.points.items()}
+
+
+@dataclass
+class TrainingLoop:
+    """Run a learner for a number of updates, resumably.
+
+    Attributes:
+        steps: Budget in updates.
+        members: Names of the lanes, in order; a checkpoint written for more lanes than these is
+            cut down to them, so part of a stack can be finished without the rest.
+        checkpoint: File to continue from and to save to; ``None`` trains in memory only.
+        log_every: Updates between two points of the learning curves (means over the interval).
+        save_every: Seconds between checkpoints.
+        progress: Told the finished fraction of the budget.
+    """
+
+    steps: int
+    members: Sequence[str]
+    checkpoint: Path | None = None
+    log_every: int = 50
+    save_every: float = 20.0
+    progress: Callable[[float], None] = lambda fraction: None
+
+    @property
+    def checkpoint_exists(self) -> bool:
+        """Whether there is something to continue from."""
+        return self.checkpoint is not None and self.checkpoint.is_file()
+
+    def run(
+        self,
+        learner: Learner,
+        after_update: Callable[[int, Curves], bool] = lambda done, curves: False,
+    ) -> Curves:
+        """Train until the budget is spent or ``after_update`` asks to stop.
+
+        Args:
+            learner: Freshly initialised; its state is replaced if a checkpoint exists.
+            after_update: Called with the number of finished updates and the curves so far, for
+                snapshots and validation; returns whether to stop early.
+
+        Returns:
+            The learning curves from the first update on.
+        """
+        curves = Curves()
+        done, stopped = self._restore(learner, curves)
+        sums: dict[str, tuple[Tensor, int]] = {}
+        saved = time.monotonic()
+        while done < self.steps and not stopped:
+            for name, value in learner.update(done).items():
+                total, count = sums.get(name, (torch.zeros_like(value), 0))
+                sums[name] = total + value, count + 1
+            done += 1
+            if done % self.log_every == 0:
+                curves.add(done, {name: total / count for name, (total, count) in sums.items()})
+                sums = {}
+                self.progress(done / self.steps)
+            stopped = after_update(done, curves)
+            # Only at interval ends are all metric sums in the curves and the file complete.
+            due = time.monotonic() - saved >= self.save_every and done % self.log_every == 0
+            if due or stopped or done == self.steps:
+                self._save(learner, curves, done, stopped)
+                saved = time.monotonic()
+        self.progress(1.0)
+        return curves
+
+    def _save(self, learner: Learner, curves: Curves, done: int, stopped: bool) -> None:
+        if self.checkpoint is None:
+            return
+        tensors = {f"learner.{k}": v for k, v in learner.state_dict().items()}
+        tensors |= {f"curve.{k}": v for k, v in curves.tensors().items()}
+        header = {
+            "done": done,
+            "stopped": stopped,
+            "members": list(self.members),
+            "curve_steps": curves.steps(),
+        }
+        save_tensors(self.checkpoint, tensors, header)
+
+    def _restore(self, learner: Learner, curves: Curves) -> tuple[int, bool]:
+        if self.checkpoint is None or not self.checkpoint_exists:
+            return 0, False
+        tensors, header = load_tensors(self.checkpoint)
+        stored = list(header["members"])
+        missing = [name for name in self.members if name not in stored]
+        if missing:
+            raise ValueError(
+                f"{self.checkpoint} is a checkpoint of {stored} and lacks {missing}; delete it to "
+                "train these from the beginning."
+            )
+        tensors = select_lanes(tensors, [stored.index(m) for m in self.members], len(stored))
+        learner.load_state_dict(
+            {k.removeprefix("learner."): v for k, v in tensors.items() if k.startswith("learner.")}
+        )
+        for name, steps in header["curve_steps"].items():
+            values = tensors[f"curve.{name}"]
+            curves.points[name] = [(step, values[:, i]) for i, step in enumerate(steps)]
+        return int(header["done"]), bool(header["stopped"])
+
+
+def adam(
+    parameters: Sequence[Tensor], learning_rate: float, weight_decay: float = 0.0
+) -> torch.optim.Adam:
+    """Adam over stacked parameters in one fused kernel; element-wise, so lanes stay independent."""
+    parameters = list(parameters)
+    device = parameters[0].device
+    return torch.optim.Adam(
+        parameters,
+        lr=torch.tensor(learning_rate, device=device) if device.type == "cuda" else learning_rate,
+        weight_decay=weight_decay,
+        fused=True,
+        capturable=device.type == "cuda",  # in graphs, which read the learning rate from memory
+    )
+
+
+class Schedule:
+    """A learning rate that depends on the step.
+
+    It is written to where the optimiser, or a CUDA graph of its steps, reads it, and once per step:
+    a captured update finds it written and leaves it alone.
+
+    Args:
+        optimizer: Whose rate it is.
+        rate: Learning rate of every step.
+    """
+
+    def __init__(self, optimizer: torch.optim.Optimizer, rate: Callable[[int], float]) -> None:
+        self._optimizer, self._rate, self._step = optimizer, rate, -1
+
+    def follow(self, step: int) -> None:
+        """Set the rate of a step."""
+        if step == self._step:
+            return
+        self._step = step
+        for group in self._optimizer.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(self._rate(step))
+            else:
+                group["lr"] = self._rate(step)

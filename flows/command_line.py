@@ -1,0 +1,176 @@
+"""What all doors share: settings from the command line, store, tracker, one sentence on error."""
+
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from rich.console import Console
+
+from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
+from flows.pipeline.errors import PipelineError
+from flows.pipeline.executors.executor import Executor
+from flows.pipeline.executors.ray import RayExecutor
+from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.plan import Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+
+__all__ = ["Metrics", "Report", "command_words", "main", "make_executor", "run_door", "run_sweep"]
+
+Loaded = TypeVar("Loaded")
+Metrics = Mapping[str, Sequence[tuple[int, float]]]
+Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
+
+
+def main(
+    door: str,
+    help_text: str,
+    body: Callable[[Settings], int],
+    aliases: Mapping[str, str] = ALIASES,
+) -> None:
+    """Run a door with the settings of conf/ and exit, see `run_door`.
+
+    Args:
+        door: Its name.
+        help_text: What it says about itself.
+        body: What it does.
+        aliases: Short keys of its command line and what they stand for.
+    """
+    run_door(door, help_text, lambda words: load_settings(words, aliases), body)
+
+
+def run_door(
+    door: str,
+    help_text: str,
+    load: Callable[[Sequence[str]], Loaded],
+    body: Callable[[Loaded], int],
+) -> None:
+    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
+
+    Args:
+        door: Its name.
+        help_text: What it says about itself.
+        load: From the words of the command line to settings.
+        body: What it does with them.
+    """
+    arguments = sys.argv[1:]
+    if any(word in ("-h", "--help", "help") for word in arguments):
+        print(help_text)
+        sys.exit(0)
+    try:
+        settings = load(arguments)
+    except SettingsError as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        sys.exit(2)
+    try:
+        code = body(settings)
+    except SettingsError as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        code = 2
+    except (PipelineError, OSError, ValueError) as error:
+        print(f"{door}: {error}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print(f"{door}: interrupted; the same command continues.", file=sys.stderr)
+        code = 130
+    sys.exit(code)
+
+
+def make_executor(settings: Settings) -> Executor:
+    """Who does the work.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
+    runner = settings.runner
+    device = runner.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    elif device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
+    if runner.executor == "serial":
+        return SerialExecutor(device=device, threads=runner.threads)
+    return RayExecutor(
+        cpus=runner.cpus,
+        threads=runner.threads,
+        device=device,
+        gpus_per_task=runner.gpu_share,
+    )
+
+
+def run_sweep(
+    settings: Settings,
+    name: str,
+    plan: Plan,
+    report: Report,
+    params: Mapping[str, str] | None = None,
+) -> int:
+    """Show the plan, run what is not finished, record and report it.
+
+    Args:
+        settings: Where and how.
+        name: Of the sweep.
+        plan: What.
+        report: Called at the end, also of a partial sweep; returns the files and metrics to keep
+            with the sweep.
+        params: What the sweep is over; datasets, algorithms and seeds by default.
+
+    Returns:
+        The exit code.
+    """
+    store = ArtifactStore(settings.store, create=not settings.dry_run)
+    # What a dry run prints is its result.
+    display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
+    executor = make_executor(settings)
+    display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
+    display.show_plan(plan, store, executor.slots)
+    if settings.dry_run:
+        return 0
+    command = shlex.join(["python", *command_words()])
+    tracker = MlflowTracker(settings.store, source=command_words()[1])
+    tags = {
+        "profile": settings.profile_name,
+        "command": command,
+        "mlflow.note.content": f"Sweep **{name}**, made by `{command}`. The table and the figures "
+        "are among the artifacts, under `report/`; every node is a run below this one.",
+    }
+    if params is None:
+        params = {
+            "datasets": ",".join(settings.datasets),
+            "algorithms": ",".join(settings.algorithms),
+            "seeds": ",".join(map(str, settings.seeds)),
+        }
+    tracker.open_sweep(name, tags, params, plan)
+    status = "FAILED"
+    files: Sequence[Path] = ()
+    metrics: Metrics = {}
+    try:
+        outcome = run_plan(plan, store, tracker, display, executor=executor, command=command)
+        files, metrics = report(outcome)
+        status = outcome.status
+    finally:
+        tracker.close_sweep(status, files, metrics)
+    _name_missing(display, plan, outcome)
+    return outcome.exit_code
+
+
+def command_words() -> list[str]:
+    """The command line behind ``python``."""
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    return ["-m", module.name if module else sys.argv[0], *sys.argv[1:]]
+
+
+def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:
+    """List what is missing and why."""
+    for key, reason in outcome.failed.items():
+        lines = reason.strip().splitlines() or ["no reason given"]
+        display.note(f"missing {plan[key].name}: {lines[-1]}")
+    for key, because in outcome.skipped.items():
+        display.note(f"missing {plan[key].name}: needs {plan[because].name}, which failed")
+    if outcome.unrecorded:
+        display.note(outcome.unrecorded)

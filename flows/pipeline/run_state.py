@@ -1,0 +1,193 @@
+"""Where a run stands: counts per component, how far running calls are, how long the rest takes."""
+
+import time
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.schedule import CostModel, Group, play
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.worker import GroupResult
+
+__all__ = ["Line", "RunState"]
+
+_ENOUGH = 0.02  # progress after which a call's own speed says more than its planned cost
+
+
+@dataclass(frozen=True)
+class Line:
+    """One component at one moment.
+
+    Attributes:
+        component: Its name.
+        total: Nodes in the plan.
+        reused: Of these, finished before this run.
+        finished: Finished in this run.
+        failed: Failed in this run.
+        skipped: Not run because a failed node was needed.
+        running: Nodes being computed.
+        fraction: Part of the component's work that is done, running calls included.
+        per_minute: Nodes finished per minute since the component's first start; None if unknown.
+        remaining: Seconds until its last node is done; None if nothing is left.
+    """
+
+    component: str
+    total: int
+    reused: int
+    finished: int
+    failed: int
+    skipped: int
+    running: int
+    fraction: float
+    per_minute: float | None
+    remaining: float | None
+
+    @property
+    def done(self) -> int:
+        """Nodes finished in this run or before."""
+        return self.reused + self.finished
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will happen here."""
+        return self.done + self.failed + self.skipped >= self.total
+
+
+@dataclass
+class _Call:
+    """A call that was handed to the executor."""
+
+    group: Group
+    since: float | None = None  # when the worker was first seen at work
+    first: float = 0.0  # how far it was then: more than 0 if it continued from a checkpoint
+    fraction: float = 0.0
+    seen: float = 0.0
+
+
+class RunState:
+    """The state of a run, fed by the runner and read by the display."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        groups: Sequence[Group],
+        store: ArtifactStore,
+        slots: int,
+        done: Collection[str],
+    ) -> None:
+        """Starts with the finished nodes.
+
+        Args:
+            plan: The plan.
+            groups: What is to be computed, in an order in which it can run.
+            store: Where progress and measurements are read.
+            slots: Groups that run at once.
+            done: Keys finished before.
+        """
+        self.plan = plan
+        self.slots = slots
+        self._store = store
+        self._left = {group.name: group for group in groups}
+        self._running: dict[str, _Call] = {}
+        self._begun: dict[str, float] = {}
+        self._reused = Counter(plan[key].component for key in done)
+        self._finished: Counter[str] = Counter()
+        self._failed: Counter[str] = Counter()
+        self._skipped: Counter[str] = Counter()
+        self._total = plan.counts()
+        self._work = {name: sum(n.cost for n in nodes) for name, nodes in self._components()}
+        self._work_done = dict.fromkeys(self._total, 0.0)
+        for key in done:
+            self._work_done[plan[key].component] += plan[key].cost
+        records = sorted(store.records(), key=lambda record: record.get("finished", 0.0))
+        self.costs = CostModel(records)
+
+    def _components(self) -> list[tuple[str, list[Node]]]:
+        return list(self.plan.by_component().items())
+
+    def submitted(self, name: str) -> None:
+        """A group was handed to the executor."""
+        self._running[name] = _Call(self._left[name])
+        self._begun.setdefault(self._left[name].component, time.monotonic())
+
+    def ended(self, name: str, result: GroupResult) -> None:
+        """A group came back."""
+        group = self._left.pop(name)
+        self._running.pop(name, None)
+        self._finished[group.component] += len(result.finished)
+        self._failed[group.component] += len(result.failed)
+        for key in result.finished:
+            self._work_done[group.component] += self.plan[key].cost
+            self.costs.learn(self._store.record(key))
+
+    def skipped(self, key: str) -> None:
+        """A node will not be run."""
+        self._skipped[self.plan[key].component] += 1
+        self._left = {name: group for name, group in self._left.items() if group.nodes}
+
+    def remaining(self) -> dict[str, float]:
+        """Seconds until each component is done, for those that are not."""
+        now = time.monotonic()
+        seconds = {name: self._rest(name, group, now) for name, group in self._left.items()}
+        ends = play(self._left.values(), seconds, self.slots, self._running)
+        last: dict[str, float] = {}
+        for name, end in ends.items():
+            component = self._left[name].component
+            last[component] = max(last.get(component, 0.0), end)
+        return last
+
+    def _rest(self, name: str, group: Group, now: float) -> float:
+        expected = self.costs.seconds(group.nodes)
+        call = self._running.get(name)
+        if call is None or call.since is None:
+            return expected
+        gained = call.fraction - call.first
+        if gained < _ENOUGH:
+            return max(0.0, expected * (1.0 - call.fraction) - (now - call.since))
+        speed = gained / max(1e-9, call.seen - call.since)
+        return max(0.0, (1.0 - call.fraction) / speed - (now - call.seen))
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        for name, call in self._running.items():
+            fraction = self._store.fraction(name)
+            if fraction is None:
+                continue
+            if call.since is None:
+                call.since, call.first, call.seen = now, fraction, now
+            if fraction != call.fraction:
+                call.fraction, call.seen = fraction, now
+
+    def lines(self) -> list[Line]:
+        """Every component of the plan as it stands now, in plan order."""
+        self._look()
+        remaining = self.remaining()
+        active: Counter[str] = Counter()
+        work = dict(self._work_done)
+        for call in self._running.values():
+            if call.since is not None:
+                active[call.group.component] += len(call.group.nodes)
+                work[call.group.component] += call.fraction * sum(n.cost for n in call.group.nodes)
+        return [
+            Line(
+                component=name,
+                total=total,
+                reused=self._reused[name],
+                finished=self._finished[name],
+                failed=self._failed[name],
+                skipped=self._skipped[name],
+                running=active[name],
+                fraction=min(1.0, work[name] / self._work[name]),
+                per_minute=self._per_minute(name),
+                remaining=remaining.get(name),
+            )
+            for name, total in self._total.items()
+        ]
+
+    def _per_minute(self, component: str) -> float | None:
+        if not self._finished[component]:
+            return None
+        elapsed = time.monotonic() - self._begun[component]
+        # The first moments say how fast a process starts, not how fast it works.
+        return 60.0 * self._finished[component] / elapsed if elapsed > 2.0 else None

@@ -1,0 +1,292 @@
+"""From settings to the plan of the benchmark: one node per component run."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from components.algorithms import ALGORITHMS
+from flows.configuration.settings import Settings, SettingsError
+from flows.pipeline.plan import Node, Plan, digest
+from flows.planning.costs import data_cost, model_cost, policy_cost
+from flows.planning.model_choice import ModelChoice, choose_models
+
+__all__ = [
+    "COMPONENTS",
+    "Variant",
+    "benchmark_plan",
+    "check_lengths",
+    "data_plan",
+    "model_choice",
+    "model_node",
+    "plain",
+    "sweep_name",
+    "variants",
+]
+
+COMPONENTS = {
+    "data_generation": 2,
+    "model_fitting": 5,
+    "policy_training": 2,
+    "evaluation": 2,
+    "aggregation": 2,
+}
+"""The components and the versions of their code; raise one when its results change."""
+
+
+def plain(value: Any) -> Any:
+    """JSON-able copy: tuples become lists."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One of the policies that an algorithm is asked for.
+
+    Attributes:
+        algorithm: Name of the algorithm.
+        config: Its configuration object.
+        label: Name in tables and run names; the algorithm's own where there is only one variant.
+        tags: What sets it apart, for searches.
+    """
+
+    algorithm: str
+    config: Any
+    label: str
+    tags: Mapping[str, str] = field(default_factory=dict)
+
+
+def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
+    """The policies that an algorithm is asked for: one, or one per value of one of its settings."""
+    config = settings.algorithm_on(dataset, algorithm)
+    if algorithm not in settings.variants:
+        return [Variant(algorithm, config, algorithm)]
+    name, chosen = settings.variants[algorithm]
+    return [
+        Variant(
+            algorithm,
+            replace(config, **{name: value}),
+            f"{algorithm}-{name}-{value:g}",
+            {name: f"{value:g}"},
+        )
+        for value in chosen
+    ]
+
+
+def _data_node(settings: Settings, name: str) -> Node:
+    spec = settings.dataset[name]
+    try:
+        made_with = dict(spec.ingredients)
+    except (FileNotFoundError, ValueError) as error:
+        raise SettingsError(f"{name}: {error}") from error
+    return Node(
+        component="data_generation",
+        name=f"data/{name}",
+        task="flows.tasks.data_generation:generate_dataset",
+        version=COMPONENTS["data_generation"],
+        config={"spec": plain(asdict(spec)), "seed": settings.data.seed}
+        | ({"ingredients": made_with} if made_with else {}),
+        tags={"dataset": name},
+        cost=data_cost(spec),
+    )
+
+
+def model_node(
+    name: str,
+    model: Any,
+    dataset: str,
+    data: Node,
+    seed: int = 0,
+    *,
+    shared: bool = True,
+    wanted_by: str = "",
+) -> Node:
+    """The node that fits a model.
+
+    Args:
+        name: Of the model.
+        model: Its configuration object.
+        dataset: Name of the dataset.
+        data: The dataset's node.
+        seed: Of the fit. Models that all policies of a dataset share have seed 0.
+        shared: Whether they do, or else the fit belongs to the policies of this seed.
+        wanted_by: The algorithm that wants other settings than the rest, if one does.
+    """
+    return Node(
+        component="model_fitting",
+        name=f"{name}/{dataset}"
+        + (f"/{wanted_by}" if wanted_by else "")
+        + ("" if shared else f"/seed{seed}"),
+        task="flows.tasks.model_fitting:fit_model",
+        version=COMPONENTS["model_fitting"],
+        config={"model": name, "settings": plain(asdict(model)), "seed": seed},
+        inputs={"dataset": data},
+        tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
+        cost=model_cost(name, model),
+    )
+
+
+def _policy_node(
+    settings: Settings, variant: Variant, dataset: str, seed: int, inputs: Mapping[str, Node]
+) -> Node:
+    algorithm, config = variant.algorithm, variant.config
+    module = ALGORITHMS[algorithm]
+    # A stack has one configuration, and data and models of one shape.
+    models = {role: inputs[role].config["settings"] for role in module.NEEDS}
+    system = settings.dataset[dataset].environment
+    kind = digest([plain(asdict(config)), models, system], 4)
+    return Node(
+        component="policy_training",
+        name=f"{variant.label}/{dataset}/seed{seed}",
+        task="flows.tasks.policy_training:train",
+        version=COMPONENTS["policy_training"],
+        config={
+            "algorithm": algorithm,
+            "algorithm_version": module.VERSION,
+            "settings": plain(asdict(config)),
+            "snapshots": settings.training.snapshots,
+            "seed": seed,
+        },
+        inputs={role: inputs[role] for role in ("dataset", *module.NEEDS)},
+        tags={"dataset": dataset, "algorithm": algorithm, "seed": str(seed), **variant.tags},
+        lanes=f"train/{algorithm}/{kind}"
+        + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
+        cost=policy_cost(algorithm, config),
+    )
+
+
+def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:
+    dataset, algorithm = policy.tags["dataset"], variant.algorithm
+    spec = settings.dataset[dataset]
+    protocol = settings.evaluation.model_dump() | {"discount": spec.discount}
+    takes_proximity = ALGORITHMS[algorithm].TAKES_LAMBDA
+    lambdas = round(1 / settings.evaluation.lambda_step) + 1 if takes_proximity else 1
+    return Node(
+        component="evaluation",
+        name=f"evaluate/{policy.name}",
+        task="flows.tasks.evaluation:evaluate",
+        version=COMPONENTS["evaluation"],
+        config={
+            "environment": spec.environment,
+            "parameters": plain(spec.environment_parameters),
+            "evaluation": protocol,
+            "stream": [dataset, algorithm, policy.config["seed"]],
+        },
+        inputs={"policy": policy, "behaviour_policy": behaviour},
+        tags=policy.tags,
+        lanes=f"evaluate/{variant.label}/{dataset}",
+        cost=0.1 + 1e-3 * settings.training.snapshots * lambdas * settings.evaluation.trajectories,
+    )
+
+
+def _aggregation_node(
+    settings: Settings, variant: Variant, dataset: str, evaluations: Mapping[int, Node]
+) -> Node:
+    return Node(
+        component="aggregation",
+        name=f"aggregate/{variant.label}/{dataset}",
+        task="flows.tasks.aggregation:aggregate",
+        version=COMPONENTS["aggregation"],
+        config={
+            "dataset": dataset,
+            "algorithm": variant.label,
+            "seeds": sorted(evaluations),
+            "pool_fraction": settings.aggregation.pool_fraction,
+        },
+        inputs={f"seed{seed}": node for seed, node in evaluations.items()},
+        tags={"dataset": dataset, "algorithm": variant.algorithm, **variant.tags},
+        cost=0.1,
+    )
+
+
+def data_plan(settings: Settings) -> Plan:
+    """Data generation alone.
+
+    Raises:
+        SettingsError: What a dataset is made with is missing or damaged.
+    """
+    return Plan([_data_node(settings, name) for name in settings.datasets])
+
+
+def _needed_models(settings: Settings) -> list[str]:
+    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].NEEDS}
+    return sorted(needed | {"behaviour_policy"})  # which judges distances
+
+
+def model_choice(settings: Settings) -> ModelChoice:
+    """Settings of every model that the benchmark needs.
+
+    Raises:
+        SettingsError: Tuned ones are asked for and cannot be had.
+    """
+    data = {name: _data_node(settings, name) for name in settings.datasets}
+    return choose_models(settings, _needed_models(settings), data)
+
+
+def check_lengths(settings: Settings, dataset: str, model: Any) -> None:
+    """Refuse trajectories that are too short for a recurrent ensemble.
+
+    Raises:
+        SettingsError: They are.
+    """
+    if settings.dataset[dataset].steps < model.warm_up + model.horizon:
+        raise SettingsError(
+            f"data.steps={settings.data.steps} is less than warm_up + horizon = "
+            f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
+            "lower the others."
+        )
+
+
+def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
+    """The whole grid: datasets x algorithms x seeds, with all they need.
+
+    Args:
+        settings: What is wanted.
+        choice: Settings of the models, if they are known already.
+
+    Raises:
+        SettingsError: If the trajectories are too short for the models, or what a dataset is made
+            with is missing or damaged.
+    """
+    choice = choice or model_choice(settings)
+    for (dataset, name), config in choice.configs.items():
+        if name == "recurrent_ensemble":
+            check_lengths(settings, dataset, config)
+    nodes = []
+    for dataset in settings.datasets:
+        data = _data_node(settings, dataset)
+        own = settings.models.per_seed
+        seeds = settings.seeds if own else (0,)
+        models = {
+            seed: {
+                name: model_node(name, config, dataset, data, seed, shared=not own)
+                for (of, name), config in choice.configs.items()
+                if of == dataset
+            }
+            for seed in seeds
+        }
+        judge = choice.configs[dataset, "behaviour_policy"]
+        behaviour = model_node("behaviour_policy", judge, dataset, data)
+        for algorithm in settings.algorithms:
+            special = settings.models_for(dataset, algorithm)
+            for variant in variants(settings, dataset, algorithm):
+                evaluations = {}
+                for seed in settings.seeds:
+                    fitted = seed if own else 0
+                    inputs = {"dataset": data, **models[fitted]}
+                    for name, config in special.items():
+                        inputs[name] = model_node(
+                            name, config, dataset, data, fitted, shared=not own, wanted_by=algorithm
+                        )
+                    policy = _policy_node(settings, variant, dataset, seed, inputs)
+                    evaluations[seed] = _evaluation_node(settings, variant, policy, behaviour)
+                nodes.append(_aggregation_node(settings, variant, dataset, evaluations))
+    return Plan(nodes)
+
+
+def sweep_name(settings: Settings, plan: Plan) -> str:
+    """The sweep's own name, or the profile and a digest of the plan: equal for equal plans."""
+    digest = hashlib.sha256("".join(sorted(node.key for node in plan)).encode()).hexdigest()
+    return settings.sweep or f"{settings.profile_name}-{digest[:8]}"

@@ -1,0 +1,73 @@
+"""Aggregation as a task function: from the returns of all seeds to the numbers of a table."""
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from components.aggregation.statistics import pool_policies, summarise
+from flows.pipeline.task import Job, TaskContext
+from flows.tasks.artifacts import (
+    inherit_datasets,
+    percent,
+    read_input,
+    write_curves,
+    write_numbers,
+)
+
+__all__ = ["aggregate"]
+
+
+def _load_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (zipfile.BadZipFile, EOFError) as error:
+        raise ValueError(f"{path} is damaged ({error}).") from error
+
+
+def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Aggregation: `summary.json` holds the statistics of a (dataset, algorithm) pair."""
+    for job in jobs:
+        seeds = job.config["seeds"]
+        stored = []
+        for seed in seeds:
+            stored.append(read_input(job, f"seed{seed}", _load_arrays, "returns.npz"))
+        last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
+        pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
+        per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
+        distances = np.stack([s["distances"][-last:] for s in stored]).mean(axis=(0, 1))
+        points = []
+        for column, value in enumerate(stored[0]["lambdas"]):
+            statistics = summarise(pool[:, column]).as_dict()
+            spread = float(per_seed[:, column].std(ddof=1)) if len(seeds) > 1 else 0.0
+            points.append(
+                {
+                    "lambda": None if np.isnan(value) else float(value),
+                    **statistics,
+                    "seed_std": spread,
+                    "distance": float(distances[column]),
+                }
+            )
+        ended = {
+            str(n): int(s["ended_at"][0])
+            for n, s in zip(seeds, stored, strict=True)
+            if s["ended_at"].size
+        }
+        summary = {
+            "dataset": job.config["dataset"],
+            "algorithm": job.config["algorithm"],
+            "seeds": seeds,
+            "ended_at": ended,  # seeds whose loss became infinite or undefined, and when
+            "points": points,
+        }
+        write_numbers(job.out / "summary.json", summary)
+        shown = ("tenth_percentile", "standard_error", "mean", "std", "iqm", "distance")
+        if points[0]["lambda"] is None:
+            write_numbers(job.out / "metrics.json", {name: points[0][name] for name in shown})
+        else:
+            steps = percent(stored[0]["lambdas"])
+            curves = {f"over_lambda/{n}": (steps, [p[n] for p in points]) for n in shown}
+            write_curves(job.out / "curves.npz", curves)
+        inherit_datasets(job, f"seed{seeds[0]}")

@@ -1,0 +1,57 @@
+"""Evaluation in the real environment as a task function; the seeds of a pair arrive together."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from components.core.random_streams import lane_key
+from components.evaluation.real import EvaluationConfig, evaluate_policies
+from components.policies.policy import Policy
+from flows.pipeline.task import Job, TaskContext
+from flows.tasks.artifacts import inherit_datasets, percent, read_input, write_curves
+
+__all__ = ["evaluate"]
+
+
+def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
+    first = jobs[0].config
+    config = EvaluationConfig(**first["evaluation"])
+    policies = [read_input(job, "policy", Policy.load, "policy") for job in jobs]
+    results = evaluate_policies(
+        policies,
+        [read_input(job, "behaviour_policy", Policy.load, "model") for job in jobs],
+        first["environment"],
+        first["parameters"],
+        config,
+        [lane_key("evaluation", *job.config["stream"]) for job in jobs],
+        torch.device(context.device),
+        context.progress,
+        context.threads,
+    )
+    for job, policy, result in zip(jobs, policies, results, strict=True):
+        with (job.out / "returns.npz").open("wb") as file:
+            np.savez(
+                file,
+                lambdas=result.lambdas,
+                returns=result.returns,
+                distances=result.distances,
+                steps=np.asarray(policy.card.steps),
+                ended_at=np.asarray([] if policy.card.ended_at is None else [policy.card.ended_at]),
+            )
+        means = result.returns.mean(axis=-1)  # [S, lambdas]
+        curves = {}
+        for column, value in enumerate(result.lambdas):
+            if np.isnan(value):
+                curves["evaluation/return"] = (policy.card.steps, means[:, column])
+                curves["evaluation/distance"] = (policy.card.steps, result.distances[:, column])
+            elif round(100 * value) % 25 == 0:
+                name = f"evaluation/return_at_lambda_{value:.2f}"
+                curves[name] = (policy.card.steps, means[:, column])
+        if policy.card.takes_lambda:
+            steps = percent(result.lambdas)
+            curves["over_lambda/return"] = (steps, means[-1])
+            curves["over_lambda/distance"] = (steps, result.distances[-1])
+        write_curves(job.out / "curves.npz", curves)
+        inherit_datasets(job, "policy")

@@ -1,0 +1,106 @@
+"""Experts as task functions of the pipeline: training, one lane per seed, and the choice of one.
+
+This is data generation: both steps run the real system, and nothing but the data logged by the
+chosen expert reaches a learner.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from components.core.random_streams import lane_generator, lane_key
+from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
+from components.data.returns import RETURN_STEPS
+from components.data.sources.robots import ROBOT_DATASETS, ROBOTS, make_robots
+from components.environments.mujoco.robots import Robots
+from components.environments.mujoco.specifications import simulator_version
+from components.experts.episodes import judge
+from components.experts.online import ExpertConfig
+from components.experts.training import train_experts
+from components.policies.policy import Policy
+from flows.pipeline.files import read_json
+from flows.pipeline.task import Job, TaskContext
+from flows.tasks.artifacts import config_object, read_input, write_curves, write_numbers
+from flows.tasks.memory import keep_freed_memory
+
+__all__ = ["choose_expert", "train_expert"]
+
+_REACHED = "reached.json"
+
+
+def _machine(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
+    return make_robots(config["robot"], copies, config["physics"], threads)
+
+
+def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Expert training: `policy/` holds the best policy of a seed; one lane per job."""
+    keep_freed_memory()
+    first = jobs[0].config
+    policies, returns, curves = train_experts(
+        first["robot"],
+        config_object(ExpertConfig, first["training"]),
+        [lane_key("expert", first["robot"], job.config["seed"]) for job in jobs],
+        [job.key for job in jobs],
+        lambda copies: _machine(first, copies, context.threads),
+        work=context.work,
+        device=torch.device(context.device),
+        progress=context.progress,
+    )
+    for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
+        (job.out / "policy").mkdir()
+        policy.save(job.out / "policy")
+        reached = {"return": returns[lane], "step": policy.card.steps[0]}
+        write_numbers(job.out / _REACHED, reached)
+        write_numbers(job.out / "metrics.json", {f"best/{n}": v for n, v in reached.items()})
+        write_curves(job.out / "curves.npz", curves.of_lane(lane))
+
+
+def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Expert choice: `expert/` holds the best seed's policy, judged by episodes of its own."""
+    for job in jobs:
+        config = job.config
+        reached = {
+            seed: read_input(job, f"seed{seed}", _read_reached, _REACHED)
+            for seed in config["seeds"]
+        }
+        best = max(reached, key=lambda seed: reached[seed]["return"])
+        policy = read_input(job, f"seed{best}", Policy.load, "policy")
+        training = config["training"]
+        return_steps = min(RETURN_STEPS, training["horizon"])
+        discount = ROBOT_DATASETS[config["robot"]].discount
+        key = lane_key("expert", config["robot"], "verdict")
+        verdict = judge(
+            lambda frames, policy=policy: act_in_double(policy, frames),
+            _machine(config, config["episodes"], context.threads),
+            [lane_generator(key, episode) for episode in range(config["episodes"])],
+            horizon=training["horizon"],
+            discount=discount,
+            return_steps=return_steps,
+        )
+        card = ExpertCard(
+            robot=config["robot"],
+            environment=ROBOTS[config["robot"]],
+            physics=config["physics"],
+            simulator=simulator_version(),
+            seed=best,
+            candidates={str(seed): found["return"] for seed, found in reached.items()},
+            step=reached[best]["step"],
+            training=training,
+            episodes=config["episodes"],
+            return_steps=return_steps,
+            discount=discount,
+            **asdict(verdict),
+        )
+        (job.out / "expert").mkdir()
+        Expert(policy, card).save(job.out / "expert")
+        write_numbers(job.out / "metrics.json", {**asdict(verdict), "seed": best})
+
+
+def _read_reached(path: Path) -> dict[str, Any]:
+    found = read_json(path)
+    if not isinstance(found, dict):
+        raise ValueError(f"{path} is missing or damaged.")
+    return found

@@ -1,0 +1,69 @@
+"""Policy training as a task function.
+
+The seeds of one (dataset, algorithm) pair arrive together and are lanes of one program; what a lane
+computes does not depend on the others.
+"""
+
+from collections.abc import Sequence
+
+import torch
+
+from components.algorithms import ALGORITHMS
+from components.algorithms.parts.learner import LearnerInputs
+from components.algorithms.parts.training import train_policies
+from components.core.random_streams import lane_key
+from components.data.batches import LaneData
+from components.models import MODELS
+from flows.pipeline.task import Job, TaskContext
+from flows.tasks.artifacts import (
+    config_object,
+    note_dataset,
+    open_dataset,
+    read_input,
+    write_curves,
+    write_numbers,
+)
+from flows.tasks.memory import keep_freed_memory
+
+__all__ = ["train"]
+
+
+def train(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Policy training: `policy/` holds the snapshots of a run; one lane per job."""
+    keep_freed_memory()
+    algorithm = jobs[0].config["algorithm"]
+    module = ALGORITHMS[algorithm]
+    config = config_object(module.Config, jobs[0].config["settings"])
+    datasets = [open_dataset(job) for job in jobs]
+    data = LaneData(datasets, torch.device(context.device), module.FRAME_EPSILON)
+    parts = LearnerInputs(
+        data=data,
+        keys=[
+            lane_key(d.card.name, algorithm, j.config["seed"])
+            for d, j in zip(datasets, jobs, strict=True)
+        ],
+        models={
+            name: [read_input(job, name, MODELS[name].load, "model") for job in jobs]
+            for name in module.NEEDS
+        },
+    )
+    policies, curves = train_policies(
+        algorithm,
+        module.Learner(config, parts),
+        datasets,
+        [job.key for job in jobs],
+        updates=config.updates,
+        snapshots=jobs[0].config["snapshots"],
+        takes_lambda=module.TAKES_LAMBDA,
+        preparation=getattr(config, "preparation", 0),
+        work=context.work,
+        progress=context.progress,
+        device=torch.device(context.device),
+    )
+    for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
+        (job.out / "policy").mkdir()
+        policy.save(job.out / "policy")
+        write_curves(job.out / "curves.npz", curves.of_lane(lane))
+        if policy.card.ended_at is not None:
+            write_numbers(job.out / "metrics.json", {"training/ended_at": policy.card.ended_at})
+        note_dataset(job, datasets[lane])

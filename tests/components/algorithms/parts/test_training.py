@@ -1,0 +1,183 @@
+"""Snapshots and resumption of policy training: interrupted equals uninterrupted, bit for bit."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from components.algorithms import ALGORITHMS
+from components.algorithms.parts.training import snapshot_steps, train_policies
+from components.policies.policy import Policy
+from components.training.loop import Curves
+from tests.components.algorithms.stacks import config, learner
+from tests.components.interruption import KilledError, dying, lanes
+from tests.components.synthetic import make_log, policy_card
+
+LOGS = {"a": make_log("toy"), "b": make_log("toy"), "c": make_log("other", seed=3)}
+SEEDS = {"a": 0, "b": 1, "c": 0}
+UPDATES, SNAPSHOTS = 30, 5
+every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+
+
+def train(
+    name: str,
+    work: Path,
+    members: Sequence[str] = "abc",
+    death: int | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> tuple[list[Policy], Curves]:
+    logs = [LOGS[member] for member in members]
+    made = learner(name, logs, [SEEDS[member] for member in members])
+    made.update = dying(made.update, death)
+    return train_policies(
+        name,
+        made,
+        logs,
+        list(members),
+        updates=UPDATES,
+        snapshots=SNAPSHOTS,
+        takes_lambda=ALGORITHMS[name].TAKES_LAMBDA,
+        preparation=preparation(name),
+        work=work,
+        progress=progress,
+        save_every=0.0,
+    )
+
+
+def preparation(name: str) -> int:
+    """Updates before the budget, of learners that have some."""
+    return getattr(config(name), "preparation", 0)
+
+
+def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.card == other.card
+        for (w, b), (v, c) in zip(one.layers, other.layers, strict=True):
+            assert torch.equal(w, v)
+            assert torch.equal(b, c)
+
+
+@every_algorithm
+def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
+    policies, curves = train(name, tmp_path)
+    assert [p.card.dataset for p in policies] == ["toy", "toy", "other"]
+    steps = tuple(preparation(name) + step for step in (6, 12, 18, 24, 30))
+    assert [p.card.steps for p in policies] == [steps] * 3
+    assert {p.lanes for p in policies} == {SNAPSHOTS}
+    assert {p.card.takes_lambda for p in policies} == {ALGORITHMS[name].TAKES_LAMBDA}
+    weight = policies[0].layers[0][0]
+    assert not any(torch.equal(weight[n], weight[n + 1]) for n in range(SNAPSHOTS - 1))
+    for steps, _ in curves.of_lane(0).values():
+        assert steps == sorted(set(steps))
+
+
+@every_algorithm
+@pytest.mark.parametrize("deaths", [[0], [1], [7], [13, 13], [5, 6, 29]])
+def test_interrupted_equals_uninterrupted(name: str, deaths: list[int], tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "work").mkdir()
+    expected, curves = train(name, tmp_path / "whole")
+    for death in deaths:
+        with pytest.raises(KilledError):
+            train(name, tmp_path / "work", death=death)
+    found, again = train(name, tmp_path / "work")
+    assert_same(found, expected)
+    assert lanes(again, 3) == lanes(curves, 3)
+
+
+@pytest.mark.parametrize("name", ["brac", "td3_bc"])
+def test_progress_is_that_of_the_budget(name: str, tmp_path: Path) -> None:
+    told: list[float] = []
+    train(name, tmp_path, progress=told.append)
+    before, counted = told[: preparation(name)], told[preparation(name) : -1]
+    assert before == [0.0] * len(before)
+    assert counted == pytest.approx([(step + 1) / UPDATES for step in range(UPDATES)])
+    assert told[-1] == 1.0
+
+
+@every_algorithm
+def test_part_of_the_lanes_is_finished_without_the_rest(name: str, tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "work").mkdir()
+    expected, _ = train(name, tmp_path / "whole")
+    with pytest.raises(KilledError):
+        train(name, tmp_path / "work", death=20)
+    found, curves = train(name, tmp_path / "work", "cb")
+    assert found[0].card == expected[2].card
+    for ours, theirs in zip(found, (expected[2], expected[1]), strict=True):
+        for (w, _), (v, _) in zip(ours.layers, theirs.layers, strict=True):
+            assert torch.equal(w[:3], v[:3])  # snapshots from before the interruption
+            # ten updates with fewer lanes: float32 sums in another order
+            torch.testing.assert_close(w[3:], v[3:], rtol=1e-3, atol=1e-5)
+    last = [steps[-1] for steps, _ in curves.of_lane(0).values()]
+    assert max(last) == UPDATES + preparation(name)
+
+
+@every_algorithm
+def test_a_finished_run_is_only_read_again(name: str, tmp_path: Path) -> None:
+    expected, _ = train(name, tmp_path)
+    found, _ = train(name, tmp_path, death=0)  # any update would raise
+    assert_same(found, expected)
+
+
+class Breaking:
+    """Its second lane's loss is undefined from an update on, and its weights after that."""
+
+    def __init__(self, made: Any, at: int) -> None:
+        self.lanes, self._made, self._at = made.lanes, made, at
+        self.policy, self.state_dict = made.policy, made.state_dict
+        self.load_state_dict = made.load_state_dict
+
+    def update(self, step: int) -> dict[str, torch.Tensor]:
+        metrics = self._made.update(step)
+        if step >= self._at:
+            with torch.no_grad():
+                for parameter in self._made._actor.parameters():
+                    parameter[1] = torch.nan
+        return metrics
+
+
+@pytest.mark.parametrize(("at", "stands_in"), [(13, 1), (2, None)])
+def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
+    at: int, stands_in: int | None, tmp_path: Path
+) -> None:
+    logs = [LOGS[member] for member in "abc"]
+    made = learner("ddpg", logs, [0, 1, 0])
+    untrained = made.policy(policy_card(logs[1])).layers[0][0][1].clone()
+    (tmp_path / "whole").mkdir()
+    expected, _ = train("ddpg", tmp_path / "whole")
+    (tmp_path / "work").mkdir()
+    policies, curves = train_policies(
+        "ddpg",
+        Breaking(made, at),
+        logs,
+        list("abc"),
+        updates=UPDATES,
+        snapshots=SNAPSHOTS,
+        takes_lambda=False,
+        work=tmp_path / "work",
+        progress=lambda fraction: None,
+    )
+    assert_same([policies[0], policies[2]], [expected[0], expected[2]])
+    # The next update's loss is undefined, and the curves tell.
+    assert curves.ended_at(1) == policies[1].card.ended_at == at + 2
+    assert [p.card.ended_at for p in policies] == [None, at + 2, None]
+    weight = policies[1].layers[0][0]
+    assert torch.isfinite(weight).all()
+    kept = untrained if stands_in is None else expected[1].layers[0][0][stands_in]
+    for number in range(0 if stands_in is None else stands_in, SNAPSHOTS):
+        assert torch.equal(weight[number], kept)
+    # The curves of the lane stop before that, the others' do not.
+    assert max(steps[-1] for steps, _ in curves.of_lane(1).values()) == at + 1
+    assert max(steps[-1] for steps, _ in curves.of_lane(0).values()) == UPDATES
+
+
+def test_snapshot_steps() -> None:
+    assert snapshot_steps(10_000, 20) == tuple(range(500, 10_001, 500))
+    assert snapshot_steps(7, 3) == (2, 5, 7)
+    assert snapshot_steps(3, 3) == (1, 2, 3)
+    for updates, snapshots in ((2, 3), (5, 0)):
+        with pytest.raises(ValueError, match="raise updates"):
+            snapshot_steps(updates, snapshots)

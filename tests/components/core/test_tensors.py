@@ -1,0 +1,136 @@
+"""Tensors on disk: whole or not at all, never unpickled."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from components.core.tensors import (
+    load_optimizer_state,
+    load_tensors,
+    optimizer_state,
+    prefixed,
+    save_tensors,
+    with_prefix,
+)
+from components.training.loop import adam
+
+TENSORS = {
+    "weight": torch.arange(6.0).view(2, 3),
+    "turned": torch.arange(6.0).view(2, 3).T,
+    "count": torch.tensor([3, 4]),
+    "loss": torch.tensor([float("inf"), float("nan")]),
+}
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    path = tmp_path / "state.safetensors"
+    save_tensors(path, TENSORS, {"done": 3, "members": ["a", "b"]})
+    return path
+
+
+def test_round_trip(stored: Path) -> None:
+    tensors, header = load_tensors(stored)
+    assert header == {"done": 3, "members": ["a", "b"]}
+    assert tensors.keys() == TENSORS.keys()
+    for name, tensor in TENSORS.items():
+        assert tensors[name].dtype == tensor.dtype
+        assert torch.equal(torch.nan_to_num(tensors[name]), torch.nan_to_num(tensor))
+
+
+def test_nothing_but_the_file_is_left(stored: Path) -> None:
+    save_tensors(stored, {"other": torch.zeros(1)}, {})
+    assert [p.name for p in stored.parent.iterdir()] == [stored.name]
+    assert load_tensors(stored)[0].keys() == {"other"}
+
+
+def test_a_failed_write_leaves_the_old_file(stored: Path) -> None:
+    before = stored.read_bytes()
+    with pytest.raises(TypeError):
+        save_tensors(stored, TENSORS, {"not json": object()})
+    assert stored.read_bytes() == before
+    assert [p.name for p in stored.parent.iterdir()] == [stored.name]
+
+
+@pytest.mark.parametrize("damage", ["truncated", "cut in the header", "garbled", "empty", "text"])
+def test_damaged_files_are_named(stored: Path, damage: str) -> None:
+    whole = stored.read_bytes()
+    stored.write_bytes(
+        {
+            "truncated": whole[:-5],
+            "cut in the header": whole[:20],
+            "garbled": bytes(255 - byte for byte in whole),
+            "empty": b"",
+            "text": b"these are not the tensors you are looking for",
+        }[damage]
+    )
+    with pytest.raises(ValueError, match=r"state\.safetensors is damaged"):
+        load_tensors(stored)
+
+
+def test_safetensors_of_others_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.safetensors"
+    save_file({"x": torch.zeros(2)}, path)
+    with pytest.raises(ValueError, match=r"foreign\.safetensors .* not written by this project"):
+        load_tensors(path)
+
+
+class Trap:
+    """Leaves a mark when it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.mark,)
+
+
+def test_a_pickle_is_refused_and_never_loaded(tmp_path: Path) -> None:
+    path, mark = tmp_path / "state.safetensors", tmp_path / "mark"
+    for content in (pickle.dumps(Trap(mark)), pickle.dumps({"weight": [1.0]})):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="is damaged"):
+            load_tensors(path)
+    torch.save({"trap": Trap(mark)}, path)
+    with pytest.raises(ValueError, match="is damaged"):
+        load_tensors(path)
+    assert not mark.exists()
+    pickle.loads(pickle.dumps(Trap(mark)))
+    assert mark.exists(), "the trap itself must work"
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nothing does not exist"):
+        load_tensors(tmp_path / "nothing")
+
+
+def test_prefixes() -> None:
+    state = prefixed("a", {"x": torch.zeros(1)}) | prefixed("ab", {"y": torch.ones(1)})
+    assert with_prefix("a", state).keys() == {"x"}
+    assert with_prefix("ab", state).keys() == {"y"}
+
+
+def test_optimizer_state_has_lanes_and_continues_exactly() -> None:
+    def step(parameter: torch.Tensor, optimizer: torch.optim.Optimizer) -> None:
+        optimizer.zero_grad()
+        (parameter - torch.arange(6.0).view(2, 3)).square().sum().backward()
+        optimizer.step()
+
+    parameter = torch.zeros(2, 3, requires_grad=True)
+    optimizer = adam([parameter], 0.1)
+    assert optimizer_state(optimizer) == {}
+    for _ in range(3):
+        step(parameter, optimizer)
+    state = optimizer_state(optimizer)
+    assert {tensor.shape[0] for tensor in state.values()} == {2}
+    assert state["0.step"].tolist() == [3.0, 3.0]
+    copy = parameter.detach().clone().requires_grad_()
+    other = adam([copy], 0.1)
+    load_optimizer_state(other, {name: tensor.clone() for name, tensor in state.items()})
+    for _ in range(3):
+        step(parameter, optimizer)
+        step(copy, other)
+    assert torch.equal(parameter, copy)

@@ -1,0 +1,169 @@
+"""The training loop on a learner that counts: interruption and saving have no influence."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from components.training.loop import Curves, Schedule, TrainingLoop, adam
+
+NAMES = ("a", "b", "c")
+DIGITS = {"a": 1.0, "b": 2.0, "c": 3.0}
+
+
+class Counter:
+    """Adds a lane's digit and the step number; sometimes dies before it does."""
+
+    def __init__(self, names: Sequence[str] = NAMES, dies_at: int | None = None) -> None:
+        self.digits = torch.tensor([DIGITS[name] for name in names])
+        self.total = torch.zeros(len(names))
+        self.lanes, self.dies_at, self.updates = len(names), dies_at, 0
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        if step == self.dies_at:
+            raise RuntimeError("killed")
+        self.updates += 1
+        self.total = 0.5 * self.total + self.digits + step
+        metrics = {"total": self.total.clone()}
+        return metrics if step % 2 else metrics | {"even": self.digits * step}
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return {"total": self.total}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        self.total = state["total"].clone()
+
+
+def train(
+    learner: Counter,
+    checkpoint: Path | None = None,
+    names: Sequence[str] = NAMES,
+    after: Callable[[int, Curves], bool] = lambda done, curves: False,
+    **options: object,
+) -> Curves:
+    settings = {"steps": 20, "log_every": 4, "save_every": 0.0} | options
+    return TrainingLoop(members=names, checkpoint=checkpoint, **settings).run(learner, after)
+
+
+def lanes(curves: Curves, count: int = 3) -> list:
+    return [curves.of_lane(lane) for lane in range(count)]
+
+
+def test_curves_hold_means_over_intervals() -> None:
+    curves = train(Counter(("a",)), names=("a",), steps=8)
+    steps, values = curves.of_lane(0)["even"]
+    assert steps == [4, 8]
+    assert values == [1.0, 5.0]  # means of (0, 2) and (4, 6): only the updates that reported
+    assert curves.of_lane(0)["total"][0] == [4, 8]
+
+
+@pytest.mark.parametrize("deaths", [[0], [1], [3], [4], [5], [19], [2, 9, 11], [4, 8, 8, 16]])
+def test_interrupted_equals_uninterrupted(tmp_path: Path, deaths: list[int]) -> None:
+    whole = Counter()
+    expected = lanes(train(whole))
+    checkpoint = tmp_path / "c.safetensors"
+    for death in deaths:
+        with pytest.raises(RuntimeError):
+            train(Counter(dies_at=death), checkpoint)
+    last = Counter()
+    curves = train(last, checkpoint)
+    assert torch.equal(last.total, whole.total)
+    assert lanes(curves) == expected
+    assert last.updates == 20 - deaths[-1] // 4 * 4, "continued from the last interval"
+
+
+def test_a_finished_checkpoint_trains_nothing(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    first, again = Counter(), Counter()
+    expected = lanes(train(first, checkpoint))
+    assert lanes(train(again, checkpoint)) == expected
+    assert again.updates == 0
+    assert torch.equal(again.total, first.total)
+
+
+def test_part_of_the_lanes_can_be_finished_alone(tmp_path: Path) -> None:
+    whole = Counter()
+    expected = lanes(train(whole))
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(RuntimeError):
+        train(Counter(dies_at=10), checkpoint)
+    part = Counter(("c", "a"))
+    curves = train(part, checkpoint, ("c", "a"))
+    assert part.updates == 12
+    assert part.total.tolist() == [float(whole.total[2]), float(whole.total[0])]
+    assert lanes(curves, 2) == [expected[2], expected[0]]
+
+
+def test_a_checkpoint_of_other_lanes_is_refused(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    train(Counter(("a", "b")), checkpoint, ("a", "b"))
+    with pytest.raises(ValueError, match=r"c\.safetensors is a checkpoint of .* lacks \['c'\]"):
+        train(Counter(("a", "c")), checkpoint, ("a", "c"))
+
+
+def test_stopping_early_is_remembered(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    calls: list[int] = []
+
+    def stop_at_ten(done: int, curves: Curves) -> bool:
+        calls.append(done)
+        curves.add(done, {"seen": torch.full((3,), float(done))})
+        return done == 10
+
+    first = Counter()
+    expected = lanes(train(first, checkpoint, after=stop_at_ten))
+    assert calls == list(range(1, 11))
+    again = Counter()
+    assert lanes(train(again, checkpoint, after=stop_at_ten)) == expected
+    assert again.updates == 0
+    assert expected[0]["seen"][0] == list(range(1, 11))
+
+
+@pytest.mark.parametrize("death", [6, 13])
+def test_points_added_after_an_update_do_not_double(tmp_path: Path, death: int) -> None:
+    def note(done: int, curves: Curves) -> bool:
+        if done % 3 == 0:
+            curves.add(done, {"note": torch.full((3,), float(done))})
+        return False
+
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(RuntimeError):
+        train(Counter(dies_at=death), checkpoint, after=note)
+    curves = train(Counter(), checkpoint, after=note)
+    assert curves.of_lane(1)["note"] == ([3, 6, 9, 12, 15, 18], [3.0, 6.0, 9.0, 12.0, 15.0, 18.0])
+
+
+def test_saves_only_when_due(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(RuntimeError):
+        train(Counter(dies_at=18), checkpoint, save_every=1e9)
+    assert not checkpoint.exists()
+    train(Counter(), checkpoint, save_every=1e9)
+    assert checkpoint.is_file(), "the end is always saved"
+
+
+def test_progress_rises_to_one() -> None:
+    told: list[float] = []
+    train(Counter(), progress=told.append)
+    assert told == sorted(told)
+    assert told[0] == 0.2
+    assert told[-1] == 1.0
+
+
+def test_a_learning_rate_changes_where_it_lies() -> None:
+    plain = adam([torch.zeros(2, requires_grad=True)], 0.1)
+    Schedule(plain, lambda step: 0.1 * step).follow(2)
+    assert plain.param_groups[0]["lr"] == 0.2
+    rate = torch.tensor(0.1)
+    stored = torch.optim.Adam([torch.zeros(2, requires_grad=True)], lr=rate, capturable=True)
+    schedule = Schedule(stored, lambda step: 0.1 * step)
+    schedule.follow(2)
+    assert stored.param_groups[0]["lr"] is rate
+    assert rate.item() == pytest.approx(0.2)
+    rate.fill_(7.0)  # a step's rate is written once: a captured update must not hold the writing
+    schedule.follow(2)
+    assert rate.item() == 7.0
+    schedule.follow(3)
+    assert rate.item() == pytest.approx(0.3)

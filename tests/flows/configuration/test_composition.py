@@ -1,0 +1,58 @@
+"""Layers of settings: what a domain or a dataset wants otherwise, and who wins."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from flows.configuration.checking import SettingsError
+from flows.configuration.composition import special_settings
+
+GROUPS = {
+    "algorithm": {"moose": {"updates": 1000, "optimizer": "sgd"}, "bc": {"updates": 500}},
+    "model": {"clone": {"hidden": [20], "epochs": 50}, "net": {"hidden": 30}},
+    "domain": {
+        "robots": {
+            "algorithm": {"moose": {"updates": 5000, "optimizer": "adam"}},
+            "model": {"clone": {"hidden": [128]}},
+            "model_for": {"wsbc": {"clone": {"hidden": [40]}, "net": {"hidden": 7}}},
+        }
+    },
+    "dataset": {
+        "hopper-1.0": {"domain": "robots", "algorithm": {"moose": {"updates": 900}}},
+        "walker": {"domain": "robots"},
+        "mediocre-0.2": {"controller": "mediocre"},
+    },
+}
+
+
+def special(*later: dict) -> dict:
+    return special_settings([OmegaConf.create(layer) for layer in (GROUPS, *later)])
+
+
+def test_a_dataset_wins_over_its_domain_and_that_over_what_holds_everywhere() -> None:
+    found = special()
+    assert set(found) == {"hopper-1.0", "walker"}, "the others have the settings of everybody"
+    assert found["walker"]["algorithm"]["moose"] == {"updates": 5000, "optimizer": "adam"}
+    assert found["hopper-1.0"]["algorithm"]["moose"] == {"updates": 900, "optimizer": "adam"}
+    assert found["walker"]["algorithm"]["bc"] == {"updates": 500}
+    assert found["walker"]["model"]["clone"] == {"hidden": [128], "epochs": 50}
+
+
+def test_an_algorithm_may_want_its_models_otherwise() -> None:
+    wanted = special()["walker"]["model_for"]
+    assert wanted == {
+        "wsbc": {"clone": {"hidden": [40], "epochs": 50}, "net": {"hidden": 7}},
+    }
+
+
+def test_a_later_layer_wins_over_all_of_an_earlier_one() -> None:
+    profile = {"algorithm": {"moose": {"updates": 100}}, "model": {"clone": {"epochs": 2}}}
+    words = {"domain": {"robots": {"algorithm": {"moose": {"updates": 50}}}}}
+    found = special(profile)
+    assert found["hopper-1.0"]["algorithm"]["moose"] == {"updates": 100, "optimizer": "adam"}
+    assert found["walker"]["model_for"]["wsbc"]["clone"] == {"hidden": [40], "epochs": 2}
+    assert special(profile, words)["walker"]["algorithm"]["moose"]["updates"] == 50
+
+
+def test_a_domain_without_a_file_is_named() -> None:
+    with pytest.raises(SettingsError, match=r"dataset\.robo\.domain='mars' .* valid ones are rob"):
+        special_settings([OmegaConf.create(GROUPS | {"dataset": {"robo": {"domain": "mars"}}})])

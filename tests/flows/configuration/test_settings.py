@@ -1,0 +1,265 @@
+"""Settings: the documented defaults are the code's, and everything wrong ends in one sentence."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from components.algorithms import ALGORITHMS
+from components.data.sources.catalogue import DATASETS
+from components.models import MODELS
+from flows.command_line import make_executor
+from flows.configuration.composition import CONF
+from flows.configuration.settings import Settings, SettingsError, load_settings
+from flows.pipeline.executors.ray import RayExecutor
+
+ROOT = Path(__file__).parents[3]
+ALL_DATASETS = ", ".join(sorted(DATASETS))
+
+
+@pytest.fixture(scope="module")
+def paper() -> Settings:
+    return load_settings([])
+
+
+def documented(group: str, name: str) -> dict:
+    return yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))[name]
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_documented_defaults_of_algorithms_are_the_code_s(name: str, paper: Settings) -> None:
+    default = ALGORITHMS[name].Config()
+    assert paper.algorithm[name] == default
+    assert type(paper.algorithm[name]) is type(default)
+    fields = dataclasses.asdict(default)
+    written = documented("algorithm", name)
+    assert list(written) == list(fields)
+    assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == fields
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_documented_defaults_of_models_are_the_code_s(name: str, paper: Settings) -> None:
+    assert paper.model[name] == MODELS[name].config()
+    fields = dataclasses.fields(MODELS[name].config)
+    assert list(documented("model", name)) == [field.name for field in fields]
+
+
+def test_every_algorithm_and_model_has_its_file() -> None:
+    for group, known in (
+        ("algorithm", ALGORITHMS),
+        ("model", MODELS),
+        ("dataset", DATASETS),
+    ):
+        assert {path.stem for path in (CONF / group).glob("*.yaml")} == set(known)
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_documented_datasets_are_the_catalogue_s(name: str, paper: Settings) -> None:
+    assert paper.dataset[name] == DATASETS[name]
+
+
+def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Settings) -> None:
+    assert paper.profile_name == "paper"
+    assert paper.datasets == tuple(sorted(DATASETS))
+    updates = {
+        **dict.fromkeys(("bc", "ddpg", "bcq", "bear", "brac", "td3_bc"), 10_000),
+        **{"cql": 300_000, "mopo": 100_000, "morel": 500},
+        **{"moose": 1000, "wsbc": 100, "lion": 1000},
+    }
+    assert set(paper.algorithms) == set(updates)
+    # Comparisons and the control without regularisation are there to be chosen.
+    assert set(ALGORITHMS) - set(updates) == {"lambda_td3_bc", "model_based", "rvs"}
+    assert {name: paper.algorithm[name].updates for name in updates} == updates
+    assert paper.seeds == (0, 1, 2, 3, 4)
+    assert paper.training.snapshots == 20
+    assert (paper.evaluation.trajectories, paper.evaluation.horizon) == (10, 100)
+    assert paper.evaluation.lambda_step == 0.05
+    assert paper.aggregation.pool_fraction == 0.1
+    assert paper.store == Path("mlruns")
+    assert not paper.dry_run
+
+
+def test_quick_is_four_datasets_and_two_seeds_with_smaller_budgets(paper: Settings) -> None:
+    quick = load_settings(["profile=quick"])
+    assert (len(quick.datasets), len(quick.algorithms), len(quick.seeds)) == (4, 4, 2)
+    for name in ALGORITHMS:
+        assert quick.algorithm[name].updates < paper.algorithm[name].updates
+    assert quick.training.snapshots == 20
+
+
+def test_command_line_wins_over_profile_and_selects() -> None:
+    settings = load_settings(
+        [
+            "seeds=[7,3]",
+            "algorithm.lion.hidden=[12,8]",
+            "datasets=[optimized-0.6,bad-0.0]",
+            "algorithms=lion",
+            "data.steps=300",
+            "profile=smoke",
+        ]
+    )
+    assert settings.seeds == (7, 3)
+    assert settings.algorithm["lion"].hidden == (12, 8)
+    assert settings.datasets == ("optimized-0.6", "bad-0.0")
+    assert settings.algorithms == ("lion",)
+    assert settings.dataset["bad-0.0"].steps == 300
+    assert settings.dataset["bad-0.0"].trajectories == 10
+    assert settings.algorithm["lion"].updates == 8, "the profile's budget stays"
+
+
+@pytest.mark.parametrize(
+    ("word", "valid"),
+    [
+        # unknown keys
+        ("foo=1", "Unknown key 'foo'; valid keys: aggregation, algorithm, .* training"),
+        ("algoritms=[lion]", "Did you mean 'algorithms'"),
+        ("data.foo=1", "Unknown key 'data.foo'; valid keys in data: seed, steps, trajectories"),
+        ("algorithm.lion.bta=1", "valid keys in algorithm.lion: beta, .*Did you mean 'beta'"),
+        ("algorithm.foo.updates=3", "valid keys in algorithm: bc, bcq, bear, brac"),
+        (
+            "model.foo.hidden=3",
+            "valid keys in model: action_vae, behaviour_policy, .*recurrent_ensemble",
+        ),
+        ("evaluation.discount=0.5", "valid keys in evaluation: horizon, lambda_step"),
+        ("dataset.bad-0.2.epsilon=2", "edit conf/dataset, or select with datasets="),
+        # unknown names
+        ("profile=fast", "Unknown profile 'fast'; valid ones are paper, quick, smoke"),
+        ("profile=", "valid ones are paper, quick, smoke"),
+        (
+            "datasets=[mediocre-0.3]",
+            f"Unknown dataset 'mediocre-0.3'; valid ones are {ALL_DATASETS}",
+        ),
+        ("datasets=[]", f"selects nothing; valid ones are {ALL_DATASETS}"),
+        ("datasets=null", f"valid ones are {ALL_DATASETS}"),
+        ("datasets=[bad-0.0,bad-0.0]", "names one twice"),
+        ("algorithms=[lyon]", "valid ones are bc, .*td3_bc, .*or all. Did you mean 'lion'"),
+        ("algorithms=[]", "valid ones are bc, bcq, bear"),
+        # values
+        ("seeds=[]", "must be a list of different whole numbers"),
+        ("seeds=[0,0]", "must be a list of different whole numbers"),
+        ("seeds=[-1]", "whole numbers from 0"),
+        ("seeds=[0.5]", "whole numbers from 0"),
+        ("seeds=[true]", "whole numbers from 0"),
+        ("seeds=two", "whole numbers from 0"),
+        ("data.seed=-1", "data.seed=-1: .* greater than or equal to 0"),
+        ("data.steps=x", "data.steps='x': .* integer"),
+        ("data.steps=true", "data.steps=true: .* no boolean"),
+        ("data.trajectories=1", "greater than or equal to 2"),
+        ("training.snapshots=3.5", "valid integer"),
+        ("training.snapshots=2000", "raise the one or lower the other"),
+        ("evaluation.lambda_step=0.3", "lambda_step must divide 1"),
+        ("aggregation.pool_fraction=2", "less than or equal to 1"),
+        ("runner.executor=dask", "should be 'ray' or 'serial'"),
+        ("runner.device=tpu", "'auto', 'cpu' or 'cuda'"),
+        ("runner.cpus=0", "greater than or equal to 1"),
+        ("runner.gpu_share=0", "greater than 0"),
+        ("algorithm.lion.updates=0", "algorithm.lion: updates, .* at least 1"),
+        ("algorithm.lion.discount=1.5", r"discount must lie in \(0, 1\]"),
+        ("algorithm.lion.hidden=256", "algorithm.lion.hidden=256: .* tuple"),
+        ("algorithm.lion.learning_rate=nan", "algorithm.lion.learning_rate=nan: .* finite"),
+        ("algorithm.td3_bc.alpha=inf", "algorithm.td3_bc.alpha=inf: .* finite"),
+        ("model.recurrent_ensemble.updates=0", "updates must be at least 1"),
+        ("models=best", "models.source='best': Input should be 'default' or 'tuned'"),
+        ("models=[lion]", "models.source=.*: Input should be 'default' or 'tuned'"),
+        ("models.per_seed=3", "models.per_seed=3: Input should be a valid boolean"),
+        ("models.per_sed=true", "Did you mean 'per_seed'"),
+        ("runner.cpus=true", "runner.cpus=true: .* no boolean"),
+        ("tuning.trials=0", "tuning.trials=0: .* greater than or equal to 1"),
+        ("tuning.models=[lion]", "Unknown model 'lion'; valid ones are action_vae"),
+        ("mopo_penalties=all", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[]", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[1,1.0]", "must be null, sweep or a list of different numbers"),
+        ("mopo_penalties=[true]", "must be null, sweep or a list of different numbers"),
+        ("sweep=../up", "sweep='../up': .* match pattern"),
+        ("store=", "store= is empty; name a folder"),
+        ("store=${nope}", "nope"),
+        ("dry_run=maybe", "boolean"),
+        # shape
+        ("lion", "'lion' is not an override; write key=value"),
+        ("+foo=1", "is not an override; write key=value"),
+        ("~datasets", "is not an override; write key=value"),
+        ("seeds=0,1", r"lists values without brackets; write seeds=\[...\]"),
+        ("seeds=[0", "cannot be read; write key=value with lists as"),
+        ("data=3", "data=3 must be a group of keys, e.g. data.KEY=VALUE"),
+        ("algorithm=1", "algorithm=1 must be a group of keys"),
+        ("model=null", "model=None must be a group of keys"),
+        ("algorithm.lion=1", "algorithm.lion=1 must be a group of keys"),
+    ],
+)
+def test_what_is_wrong_ends_in_one_sentence(word: str, valid: str) -> None:
+    with pytest.raises(SettingsError, match=valid) as caught:
+        load_settings([word])
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message[-1] in ".?"
+
+
+def test_short_keys_stand_for_long_ones(paper: Settings) -> None:
+    assert (paper.models.source, paper.models.per_seed) == ("default", False)
+    for word in ("models=tuned", "models.source=tuned"):
+        assert load_settings([word]).models.source == "tuned"
+    assert load_settings(["models.per_seed=true"]).models.per_seed is True
+    aliases = {"models": "tuning.models", "trials": "tuning.trials"}
+    found = load_settings(["models=[action_vae]", "trials=3"], aliases).tuning
+    assert (found.models, found.trials) == (("action_vae",), 3)
+    assert (paper.tuning.models, paper.tuning.trials) == (("recurrent_ensemble",), 30)
+    assert set(load_settings(["models=all"], aliases).tuning.models) == set(MODELS)
+
+
+def test_penalties_are_checked_and_become_variants() -> None:
+    words = ["algorithms=[mopo]", "mopo_penalties=[0,0.5]"]
+    assert load_settings(words).variants == {"mopo": ("penalty", (0.0, 0.5))}
+    with pytest.raises(SettingsError, match="penalty must not be negative"):
+        load_settings(["algorithms=[mopo]", "mopo_penalties=[-1]"])
+
+
+@pytest.mark.parametrize(
+    ("word", "code", "says"),
+    [
+        ("foo=1", 2, "full_benchmark: Unknown key 'foo'; valid keys: "),
+        ("data.steps=50", 2, "full_benchmark: data.steps=50 is less than warm_up + horizon = 80"),
+        ("dry_run=true", 0, "13 of 13 nodes to do"),
+    ],
+)
+def test_bad_input_and_dry_runs_leave_nothing_behind(
+    word: str, code: int, says: str, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "flows.full_benchmark",
+            "profile=smoke",
+            "algorithms=[lion,td3_bc]",
+            "store=left",
+            word,
+        ],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    shown, silent = (done.stderr, done.stdout) if code else (done.stdout, done.stderr)
+    assert says in shown
+    assert silent == ""
+    assert list(tmp_path.iterdir()) == []
+    if code:
+        assert len(shown.splitlines()) == 1
+
+
+def test_penalties_without_their_algorithm_are_refused() -> None:
+    with pytest.raises(SettingsError, match="mopo is not among the algorithms; add it"):
+        load_settings(["mopo_penalties=[0,1]", "algorithms=[lion]"])
+
+
+def test_a_task_s_share_of_a_gpu_reaches_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    executor = make_executor(load_settings(["runner.gpu_share=0.1"]))
+    assert isinstance(executor, RayExecutor)
+    assert (executor.device, executor._gpus) == ("cuda", 0.1)

@@ -1,0 +1,140 @@
+"""The real thing: Ray's processes, workers that die, a driver that is killed and started again."""
+
+import io
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from flows.pipeline.errors import PipelineError
+from flows.pipeline.executors.ray import RayExecutor
+from flows.pipeline.files import read_json
+from flows.pipeline.plan import Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import NullTracker, run_plan
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from tests.flows.pipeline.executors.ray_driver import HOLD
+from tests.flows.pipeline.toys import counted, diamond, node, wait_for
+
+
+def test_ray_runs_a_plan_and_survives_its_workers(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One start of Ray for all of this: starting it takes seconds."""
+    log = tmp_path / "log"
+    log.mkdir()
+    (last,) = diamond(log)
+    once = node("dies_once", "once", log, number=3)
+    always = node("dies_always", "always", log)
+    lost = node("total", "lost", log, {"a": always})
+    bad = node("fails", "bad", log, number=1)
+    threads = node("threads", "threads", log, number=0)
+    text = io.StringIO()
+    outcome = run_plan(
+        Plan([last, once, lost, bad, threads]),
+        store := ArtifactStore(tmp_path / "mlruns"),
+        NullTracker(),
+        Display(Console(file=text, width=200)),
+        executor=RayExecutor(cpus=2, retries=2),
+    )
+    assert read_json(store.path(last.key) / "value.json") == 240.0
+    assert read_json(store.path(once.key) / "value.json") == 3.0
+    assert counted(log, "deaths-once") == 1
+    assert "The worker of once died; starting again from the checkpoint." in text.getvalue()
+
+    assert set(outcome.failed) == {always.key, bad.key}
+    assert counted(log, "deaths-always") == 3
+    assert "The worker of always died 3 times" in outcome.failed[always.key]
+    assert "this toy fails on purpose" in outcome.failed[bad.key]
+    assert outcome.skipped == {lost.key: always.key}
+    assert outcome.exit_code == 1
+    assert read_json(store.path(threads.key) / "value.json") == 1.0
+    # Nothing of Ray's own talk reaches the screen, not even about dead workers.
+    assert capfd.readouterr() == ("", "")
+
+
+def test_cluster_that_is_not_there_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", "no address at all")
+    executor = RayExecutor(cpus=1)
+    with pytest.raises(PipelineError, match="RAY_ADDRESS=no address at all"):
+        executor.start(lambda text: None)
+    executor.stop()
+
+
+def start_driver(home: Path, log: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.flows.pipeline.executors.ray_driver", str(home), str(log)],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"RAY_ADDRESS": ""},
+        start_new_session=True,
+        # As a terminal starts it: a shell's background jobs, such as a test run in CI may be,
+        # inherit an ignored SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+@pytest.mark.slow
+def test_killed_driver_continues_to_the_same_result(tmp_path: Path) -> None:
+    log, home = tmp_path / "log", tmp_path / "mlruns"
+    log.mkdir()
+    plan = Plan(diamond(log, pause=0.2, hold=HOLD))
+    store = ArtifactStore(home)
+
+    def done() -> int:
+        return sum(counted(log, f"step-s{i}0") for i in range(2))
+
+    before: dict[str, int] = {}
+    for attempt, number in enumerate((signal.SIGKILL, signal.SIGINT), start=1):
+        with start_driver(home, log) as driver:
+            wait_for(lambda n=attempt: counted(log, "drivers") == n, "the driver's start")
+            if number == signal.SIGKILL:
+                wait_for(lambda: done() >= 6, "six steps")
+            else:  # both groups wait at the step HOLD, so the driver cannot be done already
+                held = counted(log, "holding")
+                wait_for(lambda n=held: counted(log, "holding") >= n + 2, "both groups to wait")
+            names = [node.name for node in plan if store.path(node.key).is_dir()]
+            before = {name: counted(log, f"finished-{name}") for name in names}
+            if number == signal.SIGKILL:
+                driver.kill()
+            else:
+                os.killpg(driver.pid, number)  # as a terminal does it
+            _, text = driver.communicate(timeout=60)
+    assert driver.returncode == 130, text
+    assert "Interrupted; nothing finished is lost." in text
+    assert "Traceback" not in text
+
+    (log / "go").touch()
+    with start_driver(home, log) as driver:
+        out, text = driver.communicate(timeout=120)
+    assert (driver.returncode, out) == (0, ""), text
+    assert read_json(store.path(plan.nodes[-1].key) / "value.json") == 240.0
+    assert {"n0", "n1"} <= set(before)
+    assert {name: counted(log, f"finished-{name}") for name in before} == before
+    # At most the step in progress at each of the two stops is done again.
+    assert 40 <= done() <= 44
+    assert list(store.work.iterdir()) == []
+    tracker = MlflowTracker(home)
+    runs = tracker.client.search_runs([tracker.experiment], "tags.role = 'node'")
+    finished = [run.data.tags["key"] for run in runs if run.info.status == "FINISHED"]
+    assert sorted(finished) == sorted(node.key for node in plan)
+    (parent,) = tracker.client.search_runs([tracker.experiment], "tags.role = 'sweep'")
+    assert parent.info.status == "FINISHED"
+
+
+def test_a_silent_address_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound but not listening: nobody answers here
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        with pytest.raises(PipelineError, match=f"Nobody answers at RAY_ADDRESS={address}"):
+            RayExecutor().start(print)

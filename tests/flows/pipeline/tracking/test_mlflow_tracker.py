@@ -1,0 +1,342 @@
+"""What really stands in MLflow's database and artifact folder afterwards."""
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.files import write_json
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import NullTracker, Outcome, run_plan
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
+from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
+from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from tests.flows.pipeline.toys import node, wait_for
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An empty database, made once: its sixty migrations take more than a second."""
+    root = tmp_path_factory.mktemp("template")
+    import_mlflow()
+    make_database(root)
+    return root / "mlflow.db"
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that is not there yet."""
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    (tmp_path / "log").mkdir()
+    return tmp_path / "my runs"  # a blank, as in many home folders
+
+
+@pytest.fixture
+def home(bare: Path, database: Path) -> Path:
+    """A folder with an empty database."""
+    bare.mkdir()
+    shutil.copy(database, bare)
+    return bare
+
+
+def run(home: Path, nodes: list[Node], sweep: str = "first") -> tuple[Outcome, MlflowTracker]:
+    tracker = MlflowTracker(home, source="tests")
+    plan = Plan(nodes)
+    tracker.open_sweep(sweep, {"profile": "toy"}, {"a": {"b": [1, 2]}}, plan)
+    with open(os.devnull, "w", encoding="utf-8") as null:
+        display = Display(Console(file=null))
+        outcome = run_plan(plan, ArtifactStore(home), tracker, display, executor=SerialExecutor())
+    report = home / "results.csv"
+    report.write_text("dataset\n")
+    tracker.close_sweep(outcome.status, [report], {"nodes": [(0, len(plan))]})
+    return outcome, tracker
+
+
+def runs(tracker: MlflowTracker, role: str) -> list[Any]:
+    return tracker.client.search_runs([tracker.experiment], f"tags.role = '{role}'")
+
+
+def small(home: Path) -> list[Node]:
+    log = home.parent / "log"
+    source = node("number", "source", log, number=2)
+    return [node("total", "last", log, {"a": source}, lanes="", list=[1, 2], nested={"x": None})]
+
+
+def test_sweep_and_nodes_are_recorded(home: Path) -> None:
+    outcome, tracker = run(home, small(home))
+    assert outcome.exit_code == 0
+    (parent,) = runs(tracker, "sweep")
+    assert (parent.info.run_name, parent.info.status) == ("first", "FINISHED")
+    assert parent.data.params == {"a.b": "[1, 2]", "nodes.toys": "2"}
+    assert parent.data.tags["profile"] == "toy"
+    assert parent.data.metrics == {"nodes": 2.0}
+    assert [f.path for f in tracker.client.list_artifacts(parent.info.run_id, "report")] == [
+        "report/results.csv"
+    ]
+
+    by_name = {run.info.run_name: run for run in runs(tracker, "node")}
+    assert set(by_name) == {"source", "last"}
+    last, key = by_name["last"], small(home)[0].key
+    record = ArtifactStore(home).record(key)
+    expected = {
+        "mlflow.parentRunId": parent.info.run_id,
+        "component": "toys",
+        "dataset": "toy",
+        "algorithm": "total",
+        "seed": "0",
+        "sweep": "first",
+        "sweep.first": "computed",
+        "key": key,
+        "version": "1",
+        "colour": "blue",
+        "mlflow.source.name": "tests",
+    }
+    assert expected.items() <= last.data.tags.items()
+    assert "source (a)" in last.data.tags["mlflow.note.content"]
+    assert last.data.params["list"] == "[1, 2]"
+    assert last.data.params["nested.x"] == "null"
+    assert last.data.metrics["value"] == 2.0
+    assert last.data.metrics["usage/wall_seconds"] == record["wall_seconds"]
+    history = tracker.client.get_metric_history(last.info.run_id, "train/loss")
+    assert [(m.step, m.value) for m in history] == [(i, 2.0 + i) for i in range(10)]
+    (read,) = last.inputs.dataset_inputs
+    assert (read.dataset.name, read.dataset.digest) == ("toy", "d" * 36)
+    # Real wall time, in milliseconds.
+    assert last.info.start_time == int(1000 * record["started"])
+    assert last.info.end_time == int(1000 * record["finished"])
+
+
+def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
+    _, tracker = run(home, small(home))
+    for recorded in runs(tracker, "node"):
+        folder = ArtifactStore(home).path(recorded.data.tags["key"])
+        place = home / "artifacts" / recorded.info.run_id / "artifacts"
+        for name in ("node.json", "value.json", "deep/blob.bin"):
+            assert (place / name).samefile(folder / name)
+
+
+def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
+    bare.mkdir()
+    (bare / ".mlflow-young.db").write_bytes(b"half a database")
+    _, tracker = run(bare, small(bare))
+    assert len(runs(tracker, "node")) == 2
+    with sqlite3.connect(bare / "mlflow.db") as database:
+        assert database.execute("pragma journal_mode").fetchone() == ("wal",)
+    database.close()
+    assert not list(bare.glob(".mlflow-young*"))
+
+
+def test_reuse_marks_the_run_and_makes_no_second_one(home: Path) -> None:
+    run(home, small(home))
+    run(home, small(home))
+    outcome, tracker = run(home, small(home), "second")
+    assert len(outcome.reused) == 2
+    assert [r.info.run_name for r in runs(tracker, "sweep")] == ["second", "first"]
+    nodes = runs(tracker, "node")
+    assert len(nodes) == 2
+    for recorded in nodes:
+        tags = recorded.data.tags
+        assert (tags["sweep.first"], tags["sweep.second"]) == ("computed", "reused")
+        assert tags["sweep"] == "first"
+
+
+def test_nodes_finished_but_not_recorded_are_recorded_later(home: Path) -> None:
+    nodes = small(home)
+    with open(os.devnull, "w", encoding="utf-8") as null:
+        store, display = ArtifactStore(home), Display(Console(file=null))
+        run_plan(Plan(nodes), store, NullTracker(), display, executor=SerialExecutor())
+    outcome, tracker = run(home, nodes)
+    assert len(outcome.reused) == 2
+    assert {r.info.status for r in runs(tracker, "node")} == {"FINISHED"}
+    assert len(runs(tracker, "node")) == 2
+
+
+def test_failure_is_recorded_and_success_gets_a_run_of_its_own(home: Path) -> None:
+    log = home.parent / "log"
+    bad = node("fails", "bad", log, number=1)
+    outcome, tracker = run(home, [bad])
+    assert outcome.exit_code == 1
+    (failed,) = runs(tracker, "node")
+    assert failed.info.status == "FAILED"
+    assert failed.data.tags["error"] == "ValueError: this toy fails on purpose"
+    text = (home / "artifacts" / failed.info.run_id / "artifacts" / "traceback.txt").read_text()
+    assert "Traceback" in text
+    assert runs(tracker, "sweep")[0].info.status == "FAILED"
+
+    (log / "repaired").touch()
+    outcome, tracker = run(home, [bad])
+    assert outcome.exit_code == 0
+    assert {r.info.status for r in runs(tracker, "node")} == {"FAILED", "FINISHED"}
+    (parent,) = runs(tracker, "sweep")
+    assert parent.info.status == "FINISHED"
+
+
+def test_runs_a_killed_driver_left_open_are_closed(home: Path) -> None:
+    tracker = MlflowTracker(home)
+    tags = {"role": "node", "key": small(home)[0].key}
+    tracker.client.create_run(tracker.experiment, tags=tags, run_name="half")
+    tracker.client.create_run(
+        tracker.experiment, tags={"role": "sweep", "sweep": "first"}, run_name="first"
+    )
+    _, tracker = run(home, small(home))
+    states = sorted((r.info.run_name, r.info.status) for r in runs(tracker, "node"))
+    assert states == [("half", "KILLED"), ("last", "FINISHED"), ("source", "FINISHED")]
+    assert [r.info.status for r in runs(tracker, "sweep")] == ["FINISHED"]
+
+
+def test_tracking_uri_is_honoured(
+    bare: Path, database: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, other = bare, bare.parent / "other.db"
+    shutil.copy(database, other)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{other}")
+    _, tracker = run(home, small(home))
+    assert not (home / "mlflow.db").exists()
+    assert len(runs(tracker, "node")) == 2
+    assert len(list((home / "artifacts").iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    ("uri", "says"),
+    [
+        ("http://name:secret@127.0.0.1:9", "MLflow at http://127.0.0.1:9 refused"),
+        ("sqlite:////dev/null/x.db", "MLflow at sqlite:////dev/null/x.db refused"),
+        ("./runs", "MLflow at ./runs refused"),
+    ],
+    ids=["no server", "no database", "file store"],
+)
+def test_store_that_cannot_be_reached_is_one_sentence(
+    home: Path, monkeypatch: pytest.MonkeyPatch, uri: str, says: str
+) -> None:
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    with pytest.raises(TrackingError) as caught:
+        run(home, small(home))
+    message = str(caught.value)
+    assert message.startswith(says)
+    assert "secret" not in message
+    assert message.endswith("give the same command again.")
+    assert "\n" not in message
+
+
+@pytest.mark.slow
+def test_server_keeps_the_runs_and_their_artifacts(
+    bare: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    there = bare.parent / "server"
+    there.mkdir()
+    command = [sys.executable, "-m", "mlflow", "server", "--host", "127.0.0.1"]
+    command += ["--port", str(port), "--workers", "1"]
+    command += ["--backend-store-uri", f"sqlite:///{there}/server.db"]
+    command += ["--artifacts-destination", str(there / "files")]
+    environment = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, env=environment, cwd=there, stdout=quiet, stderr=quiet, start_new_session=True
+    ) as server:
+        try:
+
+            def answers() -> bool:
+                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)):
+                    return True
+                return False
+
+            wait_for(answers, "the server", 120.0)
+            monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{port}")
+            _, tracker = run(bare, small(bare))
+            (last,) = [r for r in runs(tracker, "node") if r.info.run_name == "last"]
+            files = {f.path for f in tracker.client.list_artifacts(last.info.run_id)}
+        finally:
+            os.killpg(server.pid, signal.SIGKILL)
+    assert {"node.json", "deep", "curves.npz"} <= files
+    assert last.info.status == "FINISHED"
+    assert not (bare / "mlflow.db").exists()
+
+
+def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
+    script = (
+        "import sys; from flows.pipeline.files import locked; from pathlib import Path\n"
+        "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    )
+    tracker = MlflowTracker(home)
+    lock = str(home / "locks" / "sweep-first.lock")
+    with subprocess.Popen(
+        [sys.executable, "-c", script, lock],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(TrackingError, match="Another process is running the sweep 'first'"):
+            tracker.open_sweep("first")
+        other.kill()
+    assert tracker.open_sweep("first")
+    tracker.close_sweep("FINISHED")
+
+
+def test_sweep_name_may_not_break_searches(home: Path) -> None:
+    with pytest.raises(ValueError, match="letters, digits"):
+        MlflowTracker(home).open_sweep("it's")
+
+
+def make(folder: Path, **files: Any) -> Callable[[], Any]:
+    folder.mkdir()
+    write_json(folder / "node.json", {"started": 1.0, "finished": 3.0})
+    for name, value in files.items():
+        write_json(folder / f"{name}.json", value)
+    return lambda: read_content(folder)
+
+
+def test_long_curves_are_thinned_to_their_ends(tmp_path: Path) -> None:
+    read = make(tmp_path / "node", metrics={"a[0]=%": 1.5, "gone": None})
+    steps = np.arange(5000)
+    np.savez(
+        tmp_path / "node" / "curves.npz",
+        **{"x/step": steps, "x/value": steps * 2.0, "empty/step": [], "empty/value": []},
+    )
+    metrics = read().metrics
+    curve = [(step, value, at) for name, value, at, step in metrics if name == "x"]
+    assert len(curve) == 200
+    assert curve[0][:2] == (0, 0.0)
+    assert curve[-1] == (4999, 9998.0, 3000)
+    # Signs that MLflow refuses become underscores.
+    assert [m for m in metrics if m[0] != "x"] == [("a_0___", 1.5, 3000, 0)]
+
+
+def test_parameters_are_flat_and_short(tmp_path: Path) -> None:
+    params = flat({"a": {"b": 1, "c": [1, "x"]}, "long": "y" * 9000, "bad[key]": True})
+    assert params["a.b"] == "1"
+    assert params["a.c"] == '[1, "x"]'
+    assert len(params["long"]) < 6000
+    assert params["bad_key_"] == "true"
+
+
+def test_other_disks_get_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*names: Any) -> None:
+        raise OSError(18, "Invalid cross-device link")
+
+    make(tmp_path / "node")
+    monkeypatch.setattr(os, "link", refuse)
+    link_tree(tmp_path / "node", tmp_path / "copy")
+    copy, original = tmp_path / "copy" / "node.json", tmp_path / "node" / "node.json"
+    assert copy.read_text() == original.read_text()
+    assert not copy.samefile(original)

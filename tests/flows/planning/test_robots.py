@@ -1,0 +1,73 @@
+"""Robots in the plan: what their datasets are made with, and what is asked of their models."""
+
+from pathlib import Path
+
+import pytest
+
+from components.data.sources.robots import ROBOT_DATASETS
+from flows import tune_models
+from flows.configuration.settings import Settings, SettingsError, load_settings
+from flows.planning.benchmark import benchmark_plan, data_plan
+
+
+@pytest.fixture
+def settings() -> Settings:
+    general = load_settings(["profile=smoke", "algorithms=[bc]", "tuning.models=all"])
+    robots = {"dataset": dict(ROBOT_DATASETS), "datasets": ("swimmer", "hopper")}
+    return general.model_copy(update=robots)
+
+
+def test_a_missing_expert_ends_in_one_sentence(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("components.data.sources.robots.SHIPPED", tmp_path)
+    with pytest.raises(SettingsError, match=r"^swimmer: There is no expert in .*train_experts"):
+        data_plan(settings)
+
+
+@pytest.fixture
+def planned(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Settings:
+    monkeypatch.setattr(
+        "components.data.sources.robots.RobotSpec.ingredients",
+        property(lambda spec: {"expert": f"digest of {spec.robot}"}),
+    )
+    return settings
+
+
+def test_the_expert_is_part_of_a_dataset_s_identity(
+    planned: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {node.name: node.key for node in data_plan(planned)}
+    monkeypatch.setattr(
+        "components.data.sources.robots.RobotSpec.ingredients",
+        property(lambda spec: {"expert": "another"}),
+    )
+    after = {node.name: node.key for node in data_plan(planned)}
+    assert before.keys() == after.keys()
+    assert all(before[name] != after[name] for name in before)
+
+
+def test_policies_are_judged_on_the_robot_they_learned_from(planned: Settings) -> None:
+    nodes = [node for node in benchmark_plan(planned) if node.component == "evaluation"]
+    judged = {(n.tags["dataset"], n.config["environment"]) for n in nodes}
+    assert judged == {("swimmer", "proximity/Swimmer-v0"), ("hopper", "proximity/Hopper-v0")}
+    assert all(n.config["parameters"] == {"physics": "v3"} for n in nodes)
+    assert {n.config["evaluation"]["discount"] for n in nodes} == {0.99}
+
+
+def test_robots_of_different_shapes_are_no_lanes_of_one_stack(planned: Settings) -> None:
+    runner = planned.runner.model_copy(update={"stack": "algorithm"})
+    plan = benchmark_plan(planned.model_copy(update={"runner": runner}))
+    lanes: dict[str, set[str]] = {}
+    for node in plan:
+        if node.component == "policy_training":
+            lanes.setdefault(node.lanes, set()).add(node.tags["dataset"])
+    assert sorted(lanes.values(), key=str) == [{"hopper"}, {"swimmer"}]
+
+
+def test_how_far_back_models_look_is_no_question_where_one_frame_shows_all(
+    planned: Settings,
+) -> None:
+    for subject in tune_models.subjects(planned):
+        assert subject.space.keys() & {"history", "warm_up"} == set()
+        assert "hidden" in subject.space
