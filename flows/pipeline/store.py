@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from flows.pipeline.errors import StoreError
-from flows.pipeline.files import locked, read_json, write_json
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 
 __all__ = ["ArtifactStore", "Work", "disk_sentence"]

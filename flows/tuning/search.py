@@ -16,13 +16,14 @@ from optuna.trial import Trial, TrialState
 
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
-from flows.pipeline.files import locked, read_json
+from flows.pipeline.files import read_json
+from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
-from flows.tuning.notes import TrialNotes
 from flows.tuning.study import Study
-from flows.tuning.trial_tracker import Trials
+from flows.tuning.trial_queue import TrialQueue
+from flows.tuning.trials import Trials
 
 __all__ = ["Outcome", "search"]
 
@@ -127,7 +128,7 @@ class _Search:
         self.outcome = Outcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
-        self.notes = TrialNotes(tracker, store, self._say)
+        self.queue = TrialQueue(tracker, store, self._say)
         self.heard = time.monotonic()
 
     def run(self) -> Outcome:
@@ -135,7 +136,7 @@ class _Search:
         for study in self.studies:
             study.recover()
             self._tidy(study)
-        self.notes.catch_up(self.studies)
+        self.queue.catch_up(self.studies)
         try:
             if any(self._wants(study) for study in self.studies):
                 self.executor.start(self._say, self._look)
@@ -145,7 +146,7 @@ class _Search:
                 for result in self.executor.wait(_TICK):
                     self._settle(result)
                 self._fill()
-                self.notes.write()
+                self.queue.write()
                 self._close()
                 self._look()
                 self._sign_of_life()
@@ -154,8 +155,8 @@ class _Search:
         finally:
             self.executor.stop()
             with contextlib.suppress(KeyboardInterrupt):
-                self.notes.write()
-            self.outcome.unrecorded = self.notes.closed
+                self.queue.write()
+            self.outcome.unrecorded = self.queue.closed
         for study in self.studies:
             if study.best() is None and not self.outcome.interrupted:
                 self.outcome.failed.append(study.name)
@@ -280,7 +281,7 @@ class _Search:
         leads = f"; best {best.value:.6g} of trial {best.number}" if best else ""
         title = f"{study.subject.dataset} {study.subject.model}"
         self._say(f"{title}: trial {trial.number} ({study.spent} of {self.trials}): {what}{leads}")
-        self.notes.add(study, trial.number)
+        self.queue.add(study, trial.number)
 
     def _close(self) -> None:
         """Hand over the studies that have all they shall have."""

@@ -28,7 +28,6 @@ from optuna.distributions import (
 from components.models.supervised import SCHEDULES
 
 __all__ = [
-    "PASTS",
     "SPACES",
     "VERSION",
     "Choice",
@@ -41,10 +40,10 @@ __all__ = [
     "fixed",
     "parameters",
     "settings",
+    "space_of",
 ]
 
-PASTS: Final = ("history", "warm_up")
-"""Fields that say how far back a model looks: no question where one frame shows the whole state."""
+_PASTS: Final = ("history", "warm_up")  # fields that say how many frames back a model looks
 
 VERSION = 1
 """Raise it when the same parameters come to mean other settings."""
@@ -214,6 +213,20 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
     }
 )
 """By model of :data:`components.models.MODELS`."""
+
+
+def space_of(model: str, frames: int) -> Space:
+    """What a search varies.
+
+    Args:
+        model: Name of the model.
+        frames: Frames of an observation. If one shows the whole state, how far back a model looks
+            is not searched.
+    """
+    space = SPACES[model]
+    if frames > 1:
+        return space
+    return {name: kind for name, kind in space.items() if name not in _PASTS}
 
 
 def distributions(space: Space, start: Any) -> dict[str, BaseDistribution]:

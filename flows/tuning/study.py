@@ -12,9 +12,7 @@ A trial that failed by itself has a reason among its attributes and counts; one 
 interrupted has none and does not.
 """
 
-import fcntl
 import math
-import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -27,6 +25,8 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from flows.pipeline.json_lines import cut_half_line
+from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 
@@ -81,24 +81,6 @@ class Subject:
         return replace(made, name=f"{made.name}/trial{number}")
 
 
-class _Lock:
-    """Optuna's journal lock as a kernel lock: a killed process leaves nothing to wait for."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._handle: int | None = None
-
-    def acquire(self) -> bool:
-        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-        fcntl.flock(self._handle, fcntl.LOCK_EX)
-        return True
-
-    def release(self) -> None:
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
-
-
 def open_journal(path: Path) -> JournalStorage:
     """Open the file that holds all studies; made if missing.
 
@@ -107,25 +89,15 @@ def open_journal(path: Path) -> JournalStorage:
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = _Lock(path.with_name(f".{path.name}.lock"))
+    lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
     lock.acquire()
     try:
-        _cut_half_line(path)
+        cut_half_line(path)  # nobody has acted on it
     finally:
         lock.release()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         return JournalStorage(JournalFileBackend(str(path), lock))
-
-
-def _cut_half_line(path: Path) -> None:
-    """Remove what a full disk or a power cut left of a last line; nobody has acted on it."""
-    if not path.exists():
-        return
-    with path.open("rb+") as file:
-        content = file.read()
-        if content and not content.endswith(b"\n"):
-            file.truncate(content.rfind(b"\n") + 1)
 
 
 def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
