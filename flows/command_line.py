@@ -47,8 +47,8 @@ def main(
 
     Args:
         door: Its name.
-        help_text: What it says about itself.
-        body: What it does.
+        help_text: Its help.
+        body: Its work.
         aliases: Short keys of its command line and what they stand for.
     """
     run_door(door, help_text, lambda words: load_settings(words, aliases), body)
@@ -64,9 +64,9 @@ def run_door(
 
     Args:
         door: Its name.
-        help_text: What it says about itself.
+        help_text: Its help.
         load: From the words of the command line to settings.
-        body: What it does with them.
+        body: Its work.
     """
     arguments = sys.argv[1:]
     if any(word in ("-h", "--help", "help") for word in arguments):
@@ -138,9 +138,9 @@ def run_sweep(
     """Show the plan, run what is not finished, record and report it.
 
     Args:
-        settings: Where and how.
+        settings: Store, runner and selection.
         name: Of the sweep.
-        plan: What.
+        plan: The nodes to compute.
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.

@@ -46,7 +46,7 @@ __all__ = [
 _PASTS: Final = ("history", "warm_up")  # fields that say how many frames back a model looks
 
 VERSION = 1
-"""Raise it when the same parameters come to mean other settings."""
+"""Raise it when the same parameters mean other settings."""
 
 
 class Parameter(Protocol):
@@ -66,7 +66,7 @@ Space = Mapping[str, Parameter]
 
 
 def _three_digits(value: float) -> float:
-    """More would suggest a precision that no search has."""
+    """Rounded to three digits: more would suggest a precision that no search has."""
     return float(f"{value:.3g}")
 
 
@@ -255,7 +255,7 @@ def settings(space: Space, start: Any, drawn: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: The configuration's class refuses the combination.
     """
-    unchanged = parameters(space, start)  # exact: rounding shall not move the start
+    unchanged = parameters(space, start)  # exact, so that rounding does not move the start
     changed = {
         name: kind.setting(drawn[name])
         for name, kind in space.items()

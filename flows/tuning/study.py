@@ -2,14 +2,14 @@
 
 The study's name ends in a digest of all that its losses depend on and that is not searched, so a
 study never mixes losses that cannot be compared. The driver alone writes. It may be killed at any
-line; :meth:`Study.recover` then sets straight what it left:
+line; :meth:`Study.recover` then repairs the study:
 
 - a trial that was running is failed, and its parameters are put in line again: the new trial means
   the same node, so its checkpoint or its finished artifact is used;
-- a trial that was found hopeless is pruned, whatever its worker came to know of that.
+- a trial that was found hopeless is pruned, whether or not its worker has stopped.
 
-A trial that failed by itself has a reason among its attributes and counts; one that was merely
-interrupted has none and does not.
+A trial that failed by itself has a reason among its attributes and counts. One that was
+interrupted has none and does not count.
 """
 
 import math
@@ -40,7 +40,7 @@ _COMPARED = 3  # losses at the same percentage that a comparison needs
 
 @dataclass(frozen=True)
 class Subject:
-    """What is searched.
+    """A model on a dataset, and what is varied.
 
     Attributes:
         dataset: Its name.
@@ -92,7 +92,7 @@ def open_journal(path: Path) -> JournalStorage:
     lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
     lock.acquire()
     try:
-        cut_half_line(path)  # nobody has acted on it
+        cut_half_line(path)
     finally:
         lock.release()
     with warnings.catch_warnings():
@@ -101,11 +101,11 @@ def open_journal(path: Path) -> JournalStorage:
 
 
 def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
-    """How many trials the studies have, by their names; changes nothing.
+    """Number of ended trials by study name; changes nothing.
 
     Args:
         path: The journal.
-        subjects: What the studies are about.
+        subjects: Those of the studies.
     """
     found = dict.fromkeys((subject.name for subject in subjects), 0)
     if not path.exists():
@@ -125,7 +125,7 @@ class Study:
         """Opens the study or makes it.
 
         Args:
-            subject: What is searched.
+            subject: The model, the dataset and what is varied.
             journal: See :func:`open_journal`.
         """
         self.subject = subject
@@ -137,7 +137,7 @@ class Study:
                 storage=journal, study_name=self.name, direction="minimize", load_if_exists=True
             )
             self._study.sampler = optuna.samplers.TPESampler(
-                # Another run of the driver shall not draw again what one before it has drawn.
+                # Every run of the driver has another seed: with the same it would draw the same.
                 seed=(int(digest(self.name, 4), 16) + len(self.trials())) % 2**32,
                 n_startup_trials=_RANDOM_FIRST,
             )
@@ -153,11 +153,11 @@ class Study:
 
     @property
     def spent(self) -> int:
-        """Trials that came to an end of their own."""
+        """Number of trials that count: evaluated, pruned or failed by themselves."""
         return sum(has_ended(trial) for trial in self.trials())
 
     def recover(self) -> None:
-        """Set straight what a killed driver left, and put the start in line if it is missing."""
+        """Repair the study after a killed driver, and put the start in line if it is missing."""
         for trial in self.trials():
             if trial.state is not TrialState.RUNNING:
                 continue
@@ -205,7 +205,7 @@ class Study:
         return trial.should_prune()
 
     def give_up(self, trial: Trial) -> None:
-        """Remember that a running trial is hopeless; what it still does no longer counts."""
+        """Note that a running trial is hopeless; its later results do not count."""
         trial.set_user_attr("given_up", self._reported[trial.number])
 
     def complete(self, trial: Trial, loss: float) -> None:

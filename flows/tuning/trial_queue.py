@@ -22,7 +22,7 @@ class TrialQueue:
     Args:
         tracker: Records the trials.
         store: Where artifacts lie.
-        say: Takes one-line messages for people.
+        say: Takes one-line messages.
 
     Attributes:
         closed: Why trials are missing in the tracker; empty if none is.

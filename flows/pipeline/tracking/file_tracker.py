@@ -1,8 +1,8 @@
 """Sweeps as JSON lines: STORE/tracking/SWEEP.jsonl, for people, `jq` and `pandas.read_json`.
 
 Every line is an event with its `time` in seconds since 1970 and what it is `about`: `open`, `node`,
-`failure` or `close`. An event is written unless the newest one about the same thing says the same,
-so a sweep that is run again adds nothing, and a node that failed and then finished has two lines.
+`failure` or `close`. An event is written unless the newest one about the same thing is equal, so a
+sweep that is run again adds nothing, and a node that failed and then finished has two lines.
 """
 
 import json
@@ -33,7 +33,7 @@ class SweepFile:
         self._lock = ExitStack()
 
     def open(self, name: str) -> None:
-        """Opens the file of a sweep and reads what it says.
+        """Opens the file of a sweep and reads its events.
 
         Raises:
             TrackingError: it cannot be read or written, or another process is running this sweep.
@@ -61,36 +61,36 @@ class SweepFile:
         """The newest event about every thing."""
         return list(self._newest.values())
 
-    def says(self, about: str, event: str) -> bool:
+    def has(self, event: str, about: str) -> bool:
         """Whether the newest event about a thing is of this kind."""
         return self._newest.get(about, {}).get("event") == event
 
     def write(self, event: str, about: str, content: Mapping[str, Any]) -> None:
-        """Adds an event, unless the newest one about the same thing says the same.
+        """Adds an event, unless the newest one about the same thing is equal.
 
         Args:
             event: Its kind.
             about: What it is about: a key, or a name.
-            content: What it says; JSON-able.
+            content: Its further fields; JSON-able.
 
         Raises:
             TrackingError: the file cannot be written.
         """
         if self._path is None:
             raise TrackingError("No sweep is open in the file tracker: open one before it writes.")
-        said = {"event": event, "about": about, **content}
-        if _text(said) == _text(self._newest.get(about, {})):
+        fields = {"event": event, "about": about, **content}
+        if _text(fields) == _text(self._newest.get(about, {})):
             return
-        line = {"time": round(time.time(), 3), **said}
+        line = {"time": round(time.time(), 3), **fields}
         with _one_sentence(self._path):
             append_line(self._path, line)
         self._newest[about] = line
 
 
 def _text(event: Mapping[str, Any]) -> str:
-    """What an event says; text, because a NaN equals no other one."""
-    said = {name: value for name, value in event.items() if name != "time"}
-    return json.dumps(said, default=str, sort_keys=True)
+    """An event without its time; as text, because a NaN equals no other one."""
+    fields = {name: value for name, value in event.items() if name != "time"}
+    return json.dumps(fields, default=str, sort_keys=True)
 
 
 @contextmanager
@@ -140,7 +140,7 @@ class FileTracker:
         Raises:
             TrackingError: the file cannot be written.
         """
-        if not self.file.says(node.key, "node"):
+        if not self.file.has("node", node.key):
             self.file.write("node", node.key, describe_node(node) | _result(folder))
 
     def log_failure(self, node: Node, reason: str) -> None:
@@ -173,7 +173,7 @@ class FileTracker:
 
 
 def describe_node(node: Node) -> dict[str, Any]:
-    """What every event about a node says of it."""
+    """The fields of every event about a node."""
     return {
         "name": node.name,
         "component": node.component,
@@ -185,7 +185,7 @@ def describe_node(node: Node) -> dict[str, Any]:
 
 
 def _result(folder: Path) -> dict[str, Any]:
-    """What an artifact's own files say; curves stay in them."""
+    """Numbers and times from an artifact's files; curves stay there."""
     record = read_json(folder / "node.json") or {}
     measured = ("started", "finished", "seconds", "device", "hardware", "package")
     return {

@@ -27,14 +27,14 @@ _MANY = 1000  # runs per page of a search
 
 
 class MlflowExperiment:
-    """One MLflow experiment, in a database of our own or wherever MLFLOW_TRACKING_URI says.
+    """One MLflow experiment, in a database of our own or at the address in MLFLOW_TRACKING_URI.
 
     Attributes:
         root: Folder of the store.
         uri: Address of MLflow.
         client: An MlflowClient, for whatever has no method here.
         id: The experiment's id.
-        common: Tags of every run: who runs what.
+        common: Tags of every run: user, commit and program.
     """
 
     def __init__(self, root: Path | str, source: str = "", name: str = EXPERIMENT) -> None:
@@ -156,7 +156,7 @@ class MlflowExperiment:
 
     @contextmanager
     def one_sentence(self) -> Iterator[None]:
-        """Turns whatever MLflow or its database raises into one sentence.
+        """Turns an error of MLflow or its database into one sentence.
 
         Raises:
             TrackingError: MLflow cannot be used.

@@ -155,7 +155,7 @@ class MlflowTracker:
 
     @property
     def _mark(self) -> str:
-        """The tag that says what became of a node in this sweep."""
+        """Name of the tag for a node's state in this sweep: computed, reused or failed."""
         return f"sweep.{self.sweep.name}"
 
     def _has_run(self, key: str) -> bool:

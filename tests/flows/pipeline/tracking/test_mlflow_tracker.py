@@ -26,6 +26,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
 from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.mlflow_ui import runs_address, server_command
 from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import node, wait_for
 
@@ -270,6 +271,16 @@ def test_server_keeps_the_runs_and_their_artifacts(
     assert {"node.json", "deep", "curves.npz"} <= files
     assert last.info.status == "FINISHED"
     assert not (bare / "mlflow.db").exists()
+
+
+def test_the_list_of_runs_has_an_address(home: Path) -> None:
+    assert runs_address(home / "mlflow.db", 5001) == "http://127.0.0.1:5001"  # no experiment yet
+    experiment = MlflowTracker(home).experiment.id
+    assert runs_address(home / "mlflow.db", 5001).startswith(
+        f"http://127.0.0.1:5001/#/experiments/{experiment}/runs"
+    )
+    command = server_command(f"sqlite:///{home}/mlflow.db", 5001)
+    assert command[command.index("--host") + 1] == "127.0.0.1"
 
 
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
