@@ -23,10 +23,11 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, Tracker, run_plan
+from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.tracker import NullTracker, Tracker
 
 __all__ = ["empty", "empty_plan", "report"]
 
@@ -84,7 +85,7 @@ def report(nodes: int = 40, repetitions: int = 3) -> str:
     with tempfile.TemporaryDirectory() as folder, _own_database():
         store, bare = ArtifactStore(Path(folder) / "recorded"), ArtifactStore(Path(folder) / "bare")
         tracker = MlflowTracker(store.root, source="benchmarks.pipeline")
-        tracker.open_sweep("empty")
+        tracker.open("empty")
         numbers = count()
 
         def fresh(store: ArtifactStore, tracker: Tracker) -> Callable[[], None]:
@@ -97,7 +98,7 @@ def report(nodes: int = 40, repetitions: int = 3) -> str:
             "found finished, MLflow tracker": lambda: _run(known, store, tracker),
         }
         seconds = median_seconds(runs, repetitions)
-        tracker.close_sweep("FINISHED")
+        tracker.close("FINISHED")
     rows = [[name, f"{1e3 * value / nodes:,.1f}"] for name, value in seconds.items()]
     return markdown(["empty node", "ms per node"], rows)
 

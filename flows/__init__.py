@@ -1,5 +1,9 @@
 """The doors: ``python -m flows.NAME``. Wiring only; the science is in ``components``.
 
+In: settings of ``conf/`` and the command line. Out: a store of artifacts, their record, reports.
+Between them: ``configuration`` reads settings, ``planning`` makes plans of them, ``pipeline``
+computes plans with the functions of ``tasks``; ``tuning`` searches settings of models.
+
 Importing this package, which every door and every worker does before anything heavy, settles what
 native libraries read once: one thread per process unless a task asks for more (two processes with
 two spinning OpenMP threads each on two cores run a hundred times slower than one), and no

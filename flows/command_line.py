@@ -18,12 +18,22 @@ from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
 
-__all__ = ["Metrics", "Report", "command_words", "main", "make_executor", "run_door", "run_sweep"]
+__all__ = [
+    "Metrics",
+    "Report",
+    "command_words",
+    "main",
+    "make_executor",
+    "make_tracker",
+    "run_door",
+    "run_sweep",
+]
 
 Loaded = TypeVar("Loaded")
-Metrics = Mapping[str, Sequence[tuple[int, float]]]
 Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
@@ -37,8 +47,8 @@ def main(
 
     Args:
         door: Its name.
-        help_text: What it says about itself.
-        body: What it does.
+        help_text: Its help.
+        body: Its work.
         aliases: Short keys of its command line and what they stand for.
     """
     run_door(door, help_text, lambda words: load_settings(words, aliases), body)
@@ -54,9 +64,9 @@ def run_door(
 
     Args:
         door: Its name.
-        help_text: What it says about itself.
+        help_text: Its help.
         load: From the words of the command line to settings.
-        body: What it does with them.
+        body: Its work.
     """
     arguments = sys.argv[1:]
     if any(word in ("-h", "--help", "help") for word in arguments):
@@ -82,7 +92,7 @@ def run_door(
 
 
 def make_executor(settings: Settings) -> Executor:
-    """Who does the work.
+    """The executor that `runner` asks for.
 
     Raises:
         ValueError: There is no such device here.
@@ -103,6 +113,21 @@ def make_executor(settings: Settings) -> Executor:
     )
 
 
+def make_tracker(settings: Settings) -> Tracker:
+    """The tracker that `runner.tracker` names.
+
+    Raises:
+        TrackingError: MLflow cannot be used.
+    """
+    match settings.runner.tracker:
+        case "mlflow":
+            return MlflowTracker(settings.store, source=command_words()[1])
+        case "file":
+            return FileTracker(settings.store)
+        case "none":
+            return NullTracker()
+
+
 def run_sweep(
     settings: Settings,
     name: str,
@@ -113,9 +138,9 @@ def run_sweep(
     """Show the plan, run what is not finished, record and report it.
 
     Args:
-        settings: Where and how.
+        settings: Store, runner and selection.
         name: Of the sweep.
-        plan: What.
+        plan: The nodes to compute.
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
@@ -132,7 +157,7 @@ def run_sweep(
     if settings.dry_run:
         return 0
     command = shlex.join(["python", *command_words()])
-    tracker = MlflowTracker(settings.store, source=command_words()[1])
+    tracker = make_tracker(settings)
     tags = {
         "profile": settings.profile_name,
         "command": command,
@@ -145,7 +170,7 @@ def run_sweep(
             "algorithms": ",".join(settings.algorithms),
             "seeds": ",".join(map(str, settings.seeds)),
         }
-    tracker.open_sweep(name, tags, params, plan)
+    tracker.open(name, tags, params, plan)
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}
@@ -154,7 +179,7 @@ def run_sweep(
         files, metrics = report(outcome)
         status = outcome.status
     finally:
-        tracker.close_sweep(status, files, metrics)
+        tracker.close(status, files, metrics)
     _name_missing(display, plan, outcome)
     return outcome.exit_code
 

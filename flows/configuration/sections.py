@@ -74,6 +74,7 @@ class RunnerSettings(Strict):
     """How to run; changes no result."""
 
     executor: Literal["ray", "serial"]
+    tracker: Literal["mlflow", "file", "none"]
     cpus: int | None = Field(ge=1)
     threads: int = Field(ge=1)
     device: Literal["auto", "cpu", "cuda"]

@@ -1,0 +1,5 @@
+"""The engine: computes plans of nodes, resumes them after a kill, and records them for people.
+
+In: a plan whose nodes name task functions, a store, an executor and a tracker. Out: one artifact
+folder per node, named by its key. It imports nothing else of `flows` and knows no algorithm.
+"""

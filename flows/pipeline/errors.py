@@ -1,4 +1,4 @@
-"""What can go wrong in a sweep by no fault of a node, each as one sentence with its remedy."""
+"""Errors of a sweep that are no fault of a node, each one sentence with its remedy."""
 
 __all__ = ["PipelineError", "StoreError", "TrackingError"]
 
@@ -12,4 +12,4 @@ class StoreError(PipelineError):
 
 
 class TrackingError(PipelineError):
-    """MLflow refused or could not be reached; no artifact on disk is lost by that."""
+    """The tracker refused or could not be reached; artifacts on disk are not affected."""

@@ -1,8 +1,8 @@
-"""What is to be computed: a graph of nodes, each known by a digest of all that decides its result.
+"""Plans: graphs of nodes, each identified by a digest of everything that decides its result.
 
 A node's key covers its component and version, the name of its task function, its configuration
-and the keys of its inputs. Nothing else: no path, machine, run name, tag or worker count. Two
-sweeps that need the same thing therefore find each other's work.
+and the keys of its inputs, but no path, computer, run name, tag or worker count. Two sweeps that
+need the same node therefore share its artifact.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ __all__ = ["Node", "Plan", "canonical_json", "digest"]
 
 
 def canonical_json(value: Any) -> str:
-    """One text per value: sorted keys, no blanks, no NaN.
+    """The JSON text of a value that is equal for equal values: sorted keys, no blanks, no NaN.
 
     Raises:
         TypeError: the value holds something JSON cannot.
@@ -39,12 +39,12 @@ class Node:
 
     Attributes:
         component: The stage it belongs to, e.g. "policy_training".
-        name: Run name shown to people, e.g. "lion/mediocre-0.2/seed0". Not in the key.
+        name: Run name in displays and trackers, e.g. "lion/mediocre-0.2/seed0". Not in the key.
         task: Import path of the task function, "package.module:function".
         version: Version of the component's code; raise it when results change.
-        config: JSON-able; everything that can change the result.
+        config: All settings that can change the result; JSON-able.
         inputs: The nodes whose artifacts it reads, by role.
-        tags: For people and searches: dataset, algorithm, seed. Not in the key.
+        tags: Dataset, algorithm, seed; trackers find nodes by them. Not in the key.
         lanes: Pending nodes with the same non-empty value are computed in one task call.
         cost: Rough core-seconds, for the order of work and the estimate.
     """

@@ -1,7 +1,7 @@
-"""What people see: the plan before the work, one line per component during it.
+"""The display: the plan before the work, one line per component during it.
 
-On a terminal the lines stay in place; in a file or a log a line is written when its numbers change,
-seldom enough to be read afterwards. Everything goes to stderr.
+On a terminal the lines stay in place. In a file or a log a line is written when its numbers change,
+at most every 15 seconds per component. Everything goes to stderr.
 """
 
 import time
@@ -12,18 +12,18 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from flows.pipeline.plan import Plan
-from flows.pipeline.run_state import Line, RunState
+from flows.pipeline.run_state import ComponentState, RunState
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 
 __all__ = ["Display", "duration"]
 
-_SELDOM = 15.0  # seconds between two lines about one component in a log
-_SIGN_OF_LIFE = 60.0  # seconds after which a log hears of a component whose numbers stand still
+_BETWEEN = 15.0  # least seconds between two lines about one component in a log
+_SIGN_OF_LIFE = 60.0  # seconds after which a running component is logged without a change
 
 
 def duration(seconds: float) -> str:
-    """A time span for people."""
+    """A time span as text, e.g. "2 h 30 min"."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -49,7 +49,7 @@ class Display:
         Args:
             plan: The plan.
             store: Where finished nodes lie.
-            slots: Groups that will run at once.
+            slots: Number of groups that run at once.
         """
         done = {node.key for node in plan if store.complete(node.key)}
         pending = [node.key for node in plan if node.key not in done]
@@ -81,62 +81,62 @@ class Display:
         )
 
     def start(self, run_state: RunState) -> None:
-        """Begins to show a run."""
+        """Starts the display of a run."""
         self._shown = {}
         self._last = {}
         if self.console.is_terminal:
             self._live = Live(
-                self._table(run_state.lines()), console=self.console, auto_refresh=False
+                self._table(run_state.components()), console=self.console, auto_refresh=False
             )
             self._live.start(refresh=True)
 
     def update(self, run_state: RunState) -> None:
         """Shows the present state."""
-        lines = run_state.lines()
+        states = run_state.components()
         if self._live is not None:
-            self._live.update(self._table(lines), refresh=True)
+            self._live.update(self._table(states), refresh=True)
         else:
-            for line in lines:
-                self._log(line)
+            for state in states:
+                self._log(state)
 
     def note(self, text: str) -> None:
-        """Prints one line for people, above the live lines."""
+        """Prints a message, above the lines that stay in place."""
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def stop(self, run_state: RunState) -> None:
-        """Shows the last state and leaves it standing."""
+        """Shows the last state and ends the display."""
         if self._live is not None:
-            self._live.update(self._table(run_state.lines()), refresh=True)
+            self._live.update(self._table(run_state.components()), refresh=True)
             self._live.stop()
             self._live = None
             return
-        for line in run_state.lines():
-            self._log(line, force=True)
+        for state in run_state.components():
+            self._log(state, force=True)
 
-    def _log(self, line: Line, *, force: bool = False) -> None:
-        counts = (line.done, line.failed, line.skipped)
+    def _log(self, state: ComponentState, *, force: bool = False) -> None:
+        counts = (state.done, state.failed, state.skipped)
         now = time.monotonic()
-        silent = now - self._last.get(line.component, float("-inf"))
-        alive = bool(line.running) and silent >= _SIGN_OF_LIFE
-        same = self._shown.get(line.component, (line.reused, 0, 0) if not force else ()) == counts
+        silent = now - self._last.get(state.component, float("-inf"))
+        alive = bool(state.running) and silent >= _SIGN_OF_LIFE
+        same = self._shown.get(state.component, (state.reused, 0, 0) if not force else ()) == counts
         if same and not alive:
             return
-        if silent < _SELDOM and not (force or line.over):
+        if silent < _BETWEEN and not (force or state.over):
             return
-        self._shown[line.component] = counts
-        self._last[line.component] = now
-        words = [f"{_label(line.component)}: {_counts(line)}", _rate(line), _remaining(line)]
+        self._shown[state.component] = counts
+        self._last[state.component] = now
+        words = [f"{_label(state.component)}: {_counts(state)}", _rate(state), _remaining(state)]
         self.console.print(", ".join(word for word in words if word), markup=False, soft_wrap=True)
 
-    def _table(self, lines: list[Line]) -> Table:
+    def _table(self, states: list[ComponentState]) -> Table:
         table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 1))
-        for line in lines:
+        for state in states:
             table.add_row(
-                _label(line.component),
-                ProgressBar(total=1.0, completed=1.0 if line.over else line.fraction, width=24),
-                _counts(line),
-                _rate(line),
-                _remaining(line),
+                _label(state.component),
+                ProgressBar(total=1.0, completed=1.0 if state.over else state.fraction, width=24),
+                _counts(state),
+                _rate(state),
+                _remaining(state),
             )
         return table
 
@@ -145,29 +145,29 @@ def _label(component: str) -> str:
     return component.replace("_", " ")
 
 
-def _counts(line: Line) -> str:
+def _counts(state: ComponentState) -> str:
     extras = [
         f"{number} {word}"
         for number, word in (
-            (line.reused, "reused"),
-            (line.running, "running"),
-            (line.failed, "failed"),
-            (line.skipped, "skipped"),
+            (state.reused, "reused"),
+            (state.running, "running"),
+            (state.failed, "failed"),
+            (state.skipped, "skipped"),
         )
         if number
     ]
-    part = f" {line.fraction:.0%}" if line.running else ""
-    return f"{line.done}/{line.total}{part}" + (f" ({', '.join(extras)})" if extras else "")
+    part = f" {state.fraction:.0%}" if state.running else ""
+    return f"{state.done}/{state.total}{part}" + (f" ({', '.join(extras)})" if extras else "")
 
 
-def _rate(line: Line) -> str:
-    if line.per_minute is None:
+def _rate(state: ComponentState) -> str:
+    if state.per_minute is None:
         return ""
-    digits = 0 if line.per_minute >= 10 else 1
-    return f"{line.per_minute:.{digits}f}/min"
+    digits = 0 if state.per_minute >= 10 else 1
+    return f"{state.per_minute:.{digits}f}/min"
 
 
-def _remaining(line: Line) -> str:
-    if line.over:
-        return "" if line.failed or line.skipped else "done"
-    return f"{duration(line.remaining)} left" if line.remaining is not None else ""
+def _remaining(state: ComponentState) -> str:
+    if state.over:
+        return "" if state.failed or state.skipped else "done"
+    return f"{duration(state.remaining)} left" if state.remaining is not None else ""

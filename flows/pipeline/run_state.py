@@ -1,4 +1,4 @@
-"""Where a run stands: counts per component, how far running calls are, how long the rest takes."""
+"""The state of a run: nodes per component, progress of running calls, time that remains."""
 
 import time
 from collections import Counter
@@ -10,14 +10,14 @@ from flows.pipeline.schedule import CostModel, Group, play
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
 
-__all__ = ["Line", "RunState"]
+__all__ = ["ComponentState", "RunState"]
 
-_ENOUGH = 0.02  # progress after which a call's own speed says more than its planned cost
+_ENOUGH = 0.02  # progress from which on a call's own speed replaces its planned cost
 
 
 @dataclass(frozen=True)
-class Line:
-    """One component at one moment.
+class ComponentState:
+    """The state of one component at one moment.
 
     Attributes:
         component: Its name.
@@ -50,23 +50,23 @@ class Line:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will happen here."""
+        """Whether every node is finished, failed or skipped."""
         return self.done + self.failed + self.skipped >= self.total
 
 
 @dataclass
 class _Call:
-    """A call that was handed to the executor."""
+    """A call that the executor has taken."""
 
     group: Group
-    since: float | None = None  # when the worker was first seen at work
-    first: float = 0.0  # how far it was then: more than 0 if it continued from a checkpoint
-    fraction: float = 0.0
-    seen: float = 0.0
+    since: float | None = None  # time at which the worker was first seen at work
+    first: float = 0.0  # fraction done then: more than 0 if it continued from a checkpoint
+    fraction: float = 0.0  # newest one read
+    seen: float = 0.0  # time at which it was read
 
 
 class RunState:
-    """The state of a run, fed by the runner and read by the display."""
+    """The state of a run: the runner reports events to it, the display reads it."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class RunState:
 
         Args:
             plan: The plan.
-            groups: What is to be computed, in an order in which it can run.
+            groups: The groups to compute, in an order in which they can run.
             store: Where progress and measurements are read.
             slots: Groups that run at once.
             done: Keys finished before.
@@ -107,12 +107,12 @@ class RunState:
         return list(self.plan.by_component().items())
 
     def submitted(self, name: str) -> None:
-        """A group was handed to the executor."""
+        """Notes that the executor has taken a group."""
         self._running[name] = _Call(self._left[name])
         self._begun.setdefault(self._left[name].component, time.monotonic())
 
     def ended(self, name: str, result: GroupResult) -> None:
-        """A group came back."""
+        """Notes the result of a group."""
         group = self._left.pop(name)
         self._running.pop(name, None)
         self._finished[group.component] += len(result.finished)
@@ -122,7 +122,7 @@ class RunState:
             self.costs.learn(self._store.record(key))
 
     def skipped(self, key: str) -> None:
-        """A node will not be run."""
+        """Notes that a node will not be run."""
         self._skipped[self.plan[key].component] += 1
         self._left = {name: group for name, group in self._left.items() if group.nodes}
 
@@ -148,7 +148,7 @@ class RunState:
         speed = gained / max(1e-9, call.seen - call.since)
         return max(0.0, (1.0 - call.fraction) / speed - (now - call.seen))
 
-    def _look(self) -> None:
+    def _read_progress(self) -> None:
         now = time.monotonic()
         for name, call in self._running.items():
             fraction = self._store.fraction(name)
@@ -159,9 +159,9 @@ class RunState:
             if fraction != call.fraction:
                 call.fraction, call.seen = fraction, now
 
-    def lines(self) -> list[Line]:
-        """Every component of the plan as it stands now, in plan order."""
-        self._look()
+    def components(self) -> list[ComponentState]:
+        """The present state of every component, in plan order."""
+        self._read_progress()
         remaining = self.remaining()
         active: Counter[str] = Counter()
         work = dict(self._work_done)
@@ -170,7 +170,7 @@ class RunState:
                 active[call.group.component] += len(call.group.nodes)
                 work[call.group.component] += call.fraction * sum(n.cost for n in call.group.nodes)
         return [
-            Line(
+            ComponentState(
                 component=name,
                 total=total,
                 reused=self._reused[name],
@@ -189,5 +189,5 @@ class RunState:
         if not self._finished[component]:
             return None
         elapsed = time.monotonic() - self._begun[component]
-        # The first moments say how fast a process starts, not how fast it works.
+        # The first moments measure how fast a process starts, not how fast it works.
         return 60.0 * self._finished[component] / elapsed if elapsed > 2.0 else None

@@ -1,7 +1,7 @@
-"""Runs a plan: reuses what is finished, starts what is ready, records what ends, survives the rest.
+"""Runs a plan: reuses finished nodes, starts those that are ready, records those that ended.
 
-The driver may be killed at any line. A node is finished when its artifact folder exists; everything
-else (MLflow runs, the display, this process) is derived from that and made good at the next start.
+The driver may be killed at any line. A node is finished when its artifact folder exists. Everything
+else, such as the tracker's record, follows from that and is completed at the next start.
 """
 
 import contextlib
@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Protocol
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.executor import Executor
@@ -20,45 +18,26 @@ from flows.pipeline.progress import Display
 from flows.pipeline.run_state import RunState
 from flows.pipeline.schedule import Group, form_groups
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.tracker import Tracker
 from flows.pipeline.worker import GroupCall, GroupResult
 
-__all__ = ["NullTracker", "Outcome", "Tracker", "run_plan"]
+__all__ = ["Outcome", "run_plan"]
 
 _TICK = 0.5  # seconds between two looks at the display
 _TRACKER_PAUSE = 60.0  # seconds before a tracker that refused is asked again
 
 
-class Tracker(Protocol):
-    """Whoever remembers nodes for people; the driver alone talks to it."""
-
-    def log_node(self, node: Node, folder: Path) -> None:
-        """Remembers a finished node; does nothing new for one it knows."""
-
-    def log_failure(self, node: Node, reason: str) -> None:
-        """Remembers a failed node."""
-
-
-class NullTracker:
-    """Remembers nothing."""
-
-    def log_node(self, node: Node, folder: Path) -> None:
-        """Does nothing."""
-
-    def log_failure(self, node: Node, reason: str) -> None:
-        """Does nothing."""
-
-
 @dataclass
 class Outcome:
-    """What became of a plan.
+    """How a run of a plan ended.
 
     Attributes:
         finished: Keys computed in this run.
         reused: Keys that were finished before.
         failed: Traceback or reason by key.
         skipped: By key of a node not run, the key of the failed node it needs.
-        interrupted: Whether somebody pressed Ctrl-C.
-        unrecorded: Why finished nodes are missing in the tracker; empty if none is.
+        interrupted: Whether Ctrl-C was pressed.
+        unrecorded: Why the tracker lacks finished nodes; empty if it lacks none.
     """
 
     finished: list[str] = field(default_factory=list)
@@ -75,7 +54,7 @@ class Outcome:
 
     @property
     def status(self) -> str:
-        """MLflow's word for it: FINISHED, FAILED or KILLED."""
+        """FINISHED, FAILED or KILLED."""
         if self.interrupted:
             return "KILLED"
         return "FINISHED" if self.complete else "FAILED"
@@ -100,15 +79,15 @@ def run_plan(
     """Computes everything in the plan that is not finished yet.
 
     Args:
-        plan: What is wanted.
+        plan: The nodes to compute.
         store: Where artifacts lie.
-        tracker: Who remembers them.
-        display: Who shows what happens.
-        executor: Who does the work.
+        tracker: Records finished and failed nodes; the caller has opened it.
+        display: Shows the progress.
+        executor: Computes groups of nodes.
         command: How to continue after an interrupt, for the message.
 
     Returns:
-        What became of every node. Nothing is raised for failed nodes.
+        How every node ended. Nothing is raised for failed nodes.
 
     Raises:
         PipelineError: the sweep could not start at all.
@@ -137,7 +116,7 @@ class _Run:
         self.outcome = Outcome()
         self.waiting: dict[str, Group] = {}
         self.running: dict[str, Group] = {}
-        self.unlogged: list[tuple[Node, str | None]] = []
+        self.unrecorded: list[tuple[Node, str | None]] = []
         self.tracker_closed_until = float("-inf")
         self.tracker_warned = False
 
@@ -156,7 +135,7 @@ class _Run:
                 self.run_state.slots = self.executor.slots
                 self._submit()
             for key in self.outcome.reused:
-                self._remember(self.plan[key], None)
+                self._record(self.plan[key], None)
             while self.running:
                 self._step()
             self._retry_tracker(last=True)
@@ -166,9 +145,9 @@ class _Run:
             with _no_interrupts():
                 self.executor.stop()
                 self.display.stop(self.run_state)
-        if self.unlogged:
+        if self.unrecorded:
             self.display.note(
-                f"{len(self.unlogged)} nodes are not in MLflow yet, but safe on disk. "
+                f"{len(self.unrecorded)} nodes are not in the tracker yet, but safe on disk. "
                 f"Record them with: {self.command}"
             )
         if self.outcome.interrupted:
@@ -182,10 +161,10 @@ class _Run:
         records: list[tuple[Node, str | None]] = []
         for result in results:
             records += self._settle(result)
-        # Workers first: writing to the tracker may take seconds, and nobody should wait for that.
+        # Workers first: writing to the tracker may take seconds, in which they would idle.
         self._submit()
         for node, reason in records:
-            self._remember(node, reason)
+            self._record(node, reason)
         self._retry_tracker()
         self.display.update(self.run_state)
 
@@ -216,7 +195,7 @@ class _Run:
         group = self.running.pop(result.group)
         self.store.forget_progress(group.name)
         for key in [key for key in result.failed if self.store.complete(key)]:
-            # Published by a worker that died before it could say so.
+            # Published by a worker that died before it returned its result.
             result.finished.append(key)
             del result.failed[key]
         self.run_state.ended(group.name, result)
@@ -242,9 +221,9 @@ class _Run:
                 del self.waiting[name]
         self.run_state.skipped(node.key)
 
-    def _remember(self, node: Node, reason: str | None) -> None:
+    def _record(self, node: Node, reason: str | None) -> None:
         if time.monotonic() < self.tracker_closed_until:
-            self.unlogged.append((node, reason))
+            self.unrecorded.append((node, reason))
             return
         try:
             if reason is None:
@@ -256,23 +235,23 @@ class _Run:
                 self.display.note(f"{error} The work goes on.")
                 self.tracker_warned = True
             self.outcome.unrecorded = str(error)
-            self.unlogged.append((node, reason))
+            self.unrecorded.append((node, reason))
             self.tracker_closed_until = time.monotonic() + _TRACKER_PAUSE
 
     def _retry_tracker(self, *, last: bool = False) -> None:
         if last:
             self.tracker_closed_until = float("-inf")
-        if not self.unlogged or time.monotonic() < self.tracker_closed_until:
+        if not self.unrecorded or time.monotonic() < self.tracker_closed_until:
             return
-        again, self.unlogged = self.unlogged, []
+        again, self.unrecorded = self.unrecorded, []
         self.outcome.unrecorded = ""
         for node, reason in again:
-            self._remember(node, reason)
+            self._record(node, reason)
 
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Lets the tidying up finish however often somebody presses Ctrl-C."""
+    """Ignores Ctrl-C, so that the tidying up finishes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,6 +1,6 @@
 """Groups of nodes, the order in which they start, and how long all of it takes.
 
-The estimate plays the list schedule on paper with the same order the runner uses. Costs given by
+The estimate simulates the list schedule with the order that the runner uses. Costs given by
 the plan are scaled by what finished nodes of the same component and algorithm really took.
 """
 
@@ -116,11 +116,11 @@ class CostModel:
 
     @property
     def measured(self) -> bool:
-        """Whether any measurement is behind the estimate."""
+        """Whether any node has been measured."""
         return bool(self._ratios)
 
     def learn(self, record: Mapping[str, Any]) -> None:
-        """Adds one finished node; one that was continued after a kill says nothing."""
+        """Learns from one finished node; one that was continued after a kill is no measurement."""
         if record.get("resumed") or not record.get("cost"):
             return
         name = (record["component"], record.get("tags", {}).get("algorithm", ""))
@@ -149,7 +149,7 @@ def play(
     slots: int,
     started: Collection[str] = (),
 ) -> dict[str, float]:
-    """Plays the schedule on paper.
+    """Simulates the schedule.
 
     Args:
         groups: The groups not finished, in an order in which they can run.

@@ -1,12 +1,12 @@
-"""Where finished artifacts and unfinished work lie on disk.
+"""The artifact store: finished artifacts and unfinished work on disk.
 
     ROOT/nodes/KEY/     a finished artifact: complete if and only if the folder is there
     ROOT/work/GROUP/    checkpoints and half-made outputs of nodes that are computed together
-    ROOT/progress/      how far running calls are, and which of them shall stop
+    ROOT/progress/      reports of running calls, and requests to stop them
     ROOT/locks/         one lock per node that is being computed
 
-An artifact is made in its work folder and renamed into place, so nobody ever sees half of one. When
-all outputs of a call are ready a marker is written first; a kill between two renames is then
+An artifact is made in its work folder and renamed into place, so it is there whole or not at all.
+When all outputs of a call are ready a marker is written first; a kill between two renames is then
 repaired by renaming the rest instead of computing anything again.
 """
 
@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from flows.pipeline.errors import StoreError
-from flows.pipeline.files import locked, read_json, write_json
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 
 __all__ = ["ArtifactStore", "Work", "disk_sentence"]
@@ -113,7 +114,7 @@ class ArtifactStore:
         return True
 
     def record(self, key: str) -> dict[str, Any]:
-        """What `node.json` says about a finished node.
+        """The content of a finished node's `node.json`.
 
         Raises:
             StoreError: the artifact is damaged.
@@ -127,7 +128,7 @@ class ArtifactStore:
         return record
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """The readable `node.json` of all finished nodes, of whatever sweep."""
+        """The readable `node.json` of the finished nodes of all sweeps."""
         if not self.nodes.is_dir():
             return
         for folder in sorted(self.nodes.iterdir()):
@@ -148,14 +149,14 @@ class ArtifactStore:
 
     @contextmanager
     def locked(self, keys: Iterable[str], *, wait: bool = True) -> Iterator[bool]:
-        """Holds the locks of several nodes; always taken in one order, so nobody waits in a ring.
+        """Holds the locks of several nodes, always taken in one order to avoid deadlocks.
 
         Yields:
             Whether all locks are held.
         """
         with ExitStack() as stack:
             yield all(
-                # One held by another process ends the search; the others are given back on leaving.
+                # `all` stops at a lock that another process holds; leaving gives back the others.
                 stack.enter_context(locked(self.locks / key, wait=wait))
                 for key in sorted(set(keys))
             )
@@ -222,7 +223,7 @@ class ArtifactStore:
 
     def _make(self, keys: Sequence[str], wider: Work | None) -> Work:
         folder = self.work / digest(sorted(keys), 8)
-        # No lock of ours is held by anyone else, so what lies here unnamed is a dead beginning.
+        # We hold the locks of all keys, so an unfinished folder here belongs to a dead process.
         shutil.rmtree(folder, ignore_errors=True)
         beginning = self.work / f".{folder.name}"
         shutil.rmtree(beginning, ignore_errors=True)
@@ -245,7 +246,7 @@ class ArtifactStore:
             work.out(key).mkdir(parents=True)
 
     def mark_ready(self, work: Work, keys: Sequence[str]) -> None:
-        """Says that these outputs are whole and only have to be renamed."""
+        """Marks these outputs as whole; they only have to be renamed."""
         write_json(work.path / _READY, list(keys))
 
     def publish_ready(self, work: Work) -> None:
@@ -259,14 +260,14 @@ class ArtifactStore:
     def discard(self, work: Work) -> None:
         """Removes a work folder."""
         # Renamed first, so that a kill in the middle leaves no work folder without its checkpoint.
-        grave = self.work / f".gone-{work.path.name}"
-        shutil.rmtree(grave, ignore_errors=True)
+        doomed = self.work / f".gone-{work.path.name}"
+        shutil.rmtree(doomed, ignore_errors=True)
         with suppress(FileNotFoundError):
-            work.path.rename(grave)
-            shutil.rmtree(grave, ignore_errors=True)
+            work.path.rename(doomed)
+            shutil.rmtree(doomed, ignore_errors=True)
 
     def repair(self) -> None:
-        """Finishes what killed processes left: renames ready outputs, removes dead folders.
+        """Finishes the work of killed processes: renames ready outputs, removes useless folders.
 
         Work that a living process holds is left alone.
         """
@@ -283,27 +284,27 @@ class ArtifactStore:
     # Progress
 
     def progress_file(self, group: str) -> Path:
-        """Where a running call says how far it is."""
+        """The file in which a running call reports its progress."""
         return self._progress / f"{group}.json"
 
     def stop_file(self, group: str) -> Path:
-        """What tells a running call, once it is there, that nobody wants its result any more."""
+        """The file that asks a running call to stop, once it exists."""
         return self._progress / f"{group}.stop"
 
     def forget_progress(self, group: str) -> None:
-        """Removes what a call has said and was told, also what it was killed while saying."""
+        """Removes a call's report and stop request, also a half-written report of a killed call."""
         for half in self._progress.glob(f".{group}.json-*"):
             half.unlink(missing_ok=True)
         self.progress_file(group).unlink(missing_ok=True)
         self.stop_file(group).unlink(missing_ok=True)
 
     def losses(self, group: str) -> list[tuple[float, float]]:
-        """Fractions of the budget and held-out losses there, as far as a call has told them."""
+        """Held-out losses that a call has reported, each after its fraction of the budget."""
         value = read_json(self.progress_file(group))
-        said = value.get("losses", ()) if isinstance(value, dict) else ()
-        return [(float(fraction), float(loss)) for fraction, loss in said]
+        losses = value.get("losses", ()) if isinstance(value, dict) else ()
+        return [(float(fraction), float(loss)) for fraction, loss in losses]
 
     def fraction(self, group: str) -> float | None:
-        """How far a call is, between 0 and 1; None if it has not begun."""
+        """The fraction of a call that is done, between 0 and 1; None if it has not begun."""
         value = read_json(self.progress_file(group))
         return float(value["fraction"]) if isinstance(value, dict) else None

@@ -28,8 +28,8 @@ __all__ = ["FAILURE_FILE", "GivenUp", "Job", "TaskContext", "TaskFunction", "loa
 FAILURE_FILE = "failure.txt"
 
 
-class GivenUp(Exception):  # noqa: N818 - no error: whoever asked for the work wants it no more
-    """Ends a task call whose result nobody wants any more; its nodes are not made, nor failed."""
+class GivenUp(Exception):  # noqa: N818 - a stop on request, no error
+    """Ends a task call that the driver has asked to stop; its nodes neither finish nor fail."""
 
 
 @dataclass
@@ -61,16 +61,16 @@ class Job:
 
 @dataclass
 class TaskContext:
-    """Where a task call runs.
+    """The surroundings of a task call.
 
     Attributes:
         work: Folder for checkpoints; survives a kill and is removed when all is published.
         members: Keys the work folder was made for, in the order of their first call.
         device: "cpu" or "cuda".
         threads: Threads this call may use.
-        progress_file: Where the fraction done and held-out losses are written; None for nowhere.
-        stop_file: Once it is there, the next validation ends the call; None for never.
-        watch: Called at every validation, by executors that work in the process of whoever waits.
+        progress_file: Takes the fraction done and held-out losses; None for no file.
+        stop_file: Once this file exists, the next validation ends the call; None for never.
+        watch: Called at every validation, by executors that compute in the driver's own process.
         interval: Seconds between two writes of the fraction.
     """
 
@@ -87,7 +87,7 @@ class TaskContext:
     _losses: list[tuple[float, float]] = field(default_factory=list, repr=False)
 
     def progress(self, fraction: float) -> None:
-        """Tells the display how far this call is. Cheap enough for every training step.
+        """Reports the fraction done, for the display. Cheap enough for every training step.
 
         Args:
             fraction: Between 0 and 1, over all jobs of the call.
@@ -97,7 +97,7 @@ class TaskContext:
             self._write()
 
     def validated(self, fraction: float, loss: float) -> None:
-        """Passes on a held-out loss on the way, and ends the call if nobody wants its result.
+        """Reports a held-out loss on the way, and ends the call if the driver has asked for that.
 
         Args:
             fraction: Part of the budget that is spent, between 0 and 1.
@@ -116,8 +116,8 @@ class TaskContext:
     def _write(self) -> None:
         if self.progress_file is not None:
             self._written = time.monotonic()
-            said = {"fraction": self._fraction, "losses": self._losses}
-            write_json(self.progress_file, said)
+            report = {"fraction": self._fraction, "losses": self._losses}
+            write_json(self.progress_file, report)
 
 
 TaskFunction = Callable[[Sequence[Job], TaskContext], None]

@@ -1,4 +1,4 @@
-"""What happens in the process that computes a group of nodes. Knows neither Ray nor MLflow."""
+"""Computes a group of nodes in the present process, which an executor has chosen."""
 
 import importlib.metadata
 import os
@@ -23,7 +23,7 @@ __all__ = ["GroupCall", "GroupResult", "run_group"]
 
 @dataclass(frozen=True)
 class GroupCall:
-    """Nodes to be computed in one task call; plain data, so that any machine can take it.
+    """Nodes to be computed in one task call; plain data, so that any computer can take it.
 
     Attributes:
         group: Name of the group, for its progress file.
@@ -63,20 +63,20 @@ class GroupCall:
 
     @property
     def title(self) -> str:
-        """The group in a few words."""
+        """The group's first node and how many more, for messages."""
         first = self.nodes[0]["name"]
         return first if len(self.nodes) == 1 else f"{first} and {len(self.nodes) - 1} more"
 
 
 @dataclass
 class GroupResult:
-    """What became of a group.
+    """How the nodes of a group ended.
 
     Attributes:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
-        given_up: Keys whose computation was stopped because nobody wants them any more.
+        given_up: Keys whose computation the driver has stopped because it needs them no longer.
     """
 
     group: str
@@ -100,7 +100,7 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
     result = GroupResult(call.group)
     try:
         with store.locked(keys):
-            # Another driver, or an orphan of a killed one, may have finished some in the meantime.
+            # Another driver, or a worker of a killed one, may have finished some in the meantime.
             for work in store.works():
                 if store.unfinished(work) & set(keys):
                     store.publish_ready(work)
@@ -222,7 +222,7 @@ def _package_version() -> str:
 
 @cache
 def hardware(device: str) -> str:
-    """One line about the machine, without its name."""
+    """The computer's processors, memory and software in one line, without its name."""
     model = platform.processor() or platform.machine()
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():

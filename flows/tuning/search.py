@@ -1,8 +1,8 @@
-"""The search: asks for trials, has workers evaluate them, tells the studies what came of it.
+"""The search: asks studies for trials, has an executor fit them, reports the losses back.
 
 A trial is a model-fitting node like any other, so its key finds a finished artifact or a checkpoint
-wherever these come from, and a benchmark finds those of the search. Whenever a slot is free the
-next trial is asked for, with all that is known by then.
+of any earlier run, and a benchmark finds those of the search. The next trial is asked for whenever
+a slot is free, and all results up to then enter the choice.
 """
 
 import contextlib
@@ -16,28 +16,29 @@ from optuna.trial import Trial, TrialState
 
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
-from flows.pipeline.files import locked, read_json
+from flows.pipeline.files import read_json
+from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
-from flows.tuning.notes import TrialNotes
 from flows.tuning.study import Study
-from flows.tuning.trial_tracker import Trials
+from flows.tuning.trial_queue import TrialQueue
+from flows.tuning.trials import Trials
 
 __all__ = ["Outcome", "search"]
 
 _TICK = 0.5  # seconds between two looks at the losses on the way
-_SIGN_OF_LIFE = 60.0  # seconds of silence after which people hear of running trials
+_SIGN_OF_LIFE = 60.0  # seconds without a message after which running trials are listed
 
 
 @dataclass
 class Outcome:
-    """What became of a search.
+    """How a search ended.
 
     Attributes:
         failed: Names of studies of which no trial could be evaluated.
-        interrupted: Whether somebody pressed Ctrl-C.
-        unrecorded: Why trials are missing in MLflow; empty if none is.
+        interrupted: Whether Ctrl-C was pressed.
+        unrecorded: Why the tracker lacks trials; empty if it lacks none.
     """
 
     failed: list[str] = field(default_factory=list)
@@ -46,12 +47,12 @@ class Outcome:
 
     @property
     def status(self) -> str:
-        """MLflow's word for it."""
+        """FINISHED, FAILED or KILLED."""
         return "KILLED" if self.interrupted else "FAILED" if self.failed else "FINISHED"
 
     @property
     def exit_code(self) -> int:
-        """130 after Ctrl-C, 1 if a study has nothing to show, else 0."""
+        """130 after Ctrl-C, 1 if a study has no complete trial, else 0."""
         return 130 if self.interrupted else int(bool(self.failed))
 
 
@@ -76,16 +77,16 @@ def search(
     """Bring every study to a number of trials.
 
     Args:
-        studies: What is searched; the datasets must be in the store.
-        trials: That each study shall have; those of earlier runs count.
+        studies: One per model and dataset; the datasets must be in the store.
+        trials: Number of trials that each study gets; those of earlier runs count.
         store: Where artifacts lie.
-        tracker: Who remembers the trials.
-        executor: Who fits.
-        notify: Takes one-line messages for people.
+        tracker: Records the trials; the caller has opened it.
+        executor: Computes the fits.
+        notify: Takes one-line messages.
         finished: Called with every study that has its trials, one of them complete.
 
     Returns:
-        What became of it. Nothing is raised for failed trials.
+        How the search ended. Nothing is raised for failed trials.
 
     Raises:
         PipelineError: Another process searches one of the studies, or the search cannot start.
@@ -101,7 +102,7 @@ def search(
 
 
 def _group(key: str) -> str:
-    """Name of a trial's call: not a plan's, whose calls nobody here may stop."""
+    """Name of a trial's call, unlike those of plans, whose calls a search may not stop."""
     return f"trial-{key}"
 
 
@@ -127,42 +128,42 @@ class _Search:
         self.outcome = Outcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
-        self.notes = TrialNotes(tracker, store, self._say)
-        self.heard = time.monotonic()
+        self.queue = TrialQueue(tracker, store, self._say)
+        self.last_message = time.monotonic()
 
     def run(self) -> Outcome:
         self.store.repair()
         for study in self.studies:
             study.recover()
-            self._tidy(study)
-        self.notes.catch_up(self.studies)
+            self._remove_leftovers(study)
+        self.queue.catch_up(self.studies)
         try:
             if any(self._wants(study) for study in self.studies):
-                self.executor.start(self._say, self._look)
+                self.executor.start(self._say, self._check_running)
                 self._fill()
             self._close()
             while self.running:
                 for result in self.executor.wait(_TICK):
                     self._settle(result)
                 self._fill()
-                self.notes.write()
+                self.queue.write()
                 self._close()
-                self._look()
+                self._check_running()
                 self._sign_of_life()
         except KeyboardInterrupt:
             self.outcome.interrupted = True
         finally:
             self.executor.stop()
             with contextlib.suppress(KeyboardInterrupt):
-                self.notes.write()
-            self.outcome.unrecorded = self.notes.closed
+                self.queue.write()
+            self.outcome.unrecorded = self.queue.closed
         for study in self.studies:
             if study.best() is None and not self.outcome.interrupted:
                 self.outcome.failed.append(study.name)
         return self.outcome
 
-    def _tidy(self, study: Study) -> None:
-        """Remove what a killed driver left of trials that will not go on."""
+    def _remove_leftovers(self, study: Study) -> None:
+        """Remove progress files and work of trials that will not go on, left by a killed driver."""
         keys = {t.user_attrs["key"]: t.state for t in study.trials() if "key" in t.user_attrs}
         for key in keys:
             self.store.forget_progress(_group(key))
@@ -172,7 +173,7 @@ class _Search:
                     if free:
                         self.store.discard(work)
 
-    # Asking
+    # New trials
 
     def _active(self, study: Study) -> int:
         return sum(len(call.trials) for call in self.running.values() if call.study is study)
@@ -180,7 +181,8 @@ class _Search:
     def _wants(self, study: Study) -> bool:
         if study.spent + self._active(study) < self.trials:
             return True
-        start = study.start_trial()  # may be new in an old study that has its number
+        # A study may have its number of trials and still lack that of a new start.
+        start = study.start_trial()
         return start is not None and start.state is TrialState.WAITING
 
     def _fill(self) -> None:
@@ -212,16 +214,16 @@ class _Search:
                 GroupCall.of(group, self.store.root, [node], executor.device, executor.threads)
             )
 
-    # Watching
+    # Running trials
 
-    def _look(self) -> None:
-        """Pass losses on the way to the studies, and stop what is hopeless."""
+    def _check_running(self) -> None:
+        """Report losses on the way to the studies, and stop hopeless trials."""
         for group, call in self.running.items():
             self._report(group, call)
             if self.store.stop_file(group).exists():
                 continue
             if any(call.study.hopeless(trial) for trial in call.trials):
-                # First in the study: a kill in between shall not begin the trial once more.
+                # First in the study: after a kill in between the trial does not begin once more.
                 for trial in call.trials:
                     call.study.give_up(trial)
                 self.store.stop_file(group).touch()
@@ -232,7 +234,7 @@ class _Search:
                 call.study.report(trial, fraction, loss)
 
     def _sign_of_life(self) -> None:
-        if time.monotonic() - self.heard < _SIGN_OF_LIFE or not self.running:
+        if time.monotonic() - self.last_message < _SIGN_OF_LIFE or not self.running:
             return
         shares = [
             f"{call.study.subject.dataset}/{call.study.subject.model} trial "
@@ -242,10 +244,10 @@ class _Search:
         self._say(f"running: {', '.join(shares)}")
 
     def _say(self, text: str) -> None:
-        self.heard = time.monotonic()
+        self.last_message = time.monotonic()
         self.notify(text)
 
-    # Telling
+    # Results
 
     def _settle(self, result: GroupResult) -> None:
         call = self.running.pop(result.group)
@@ -257,7 +259,7 @@ class _Search:
                 call.study.prune(trial)
                 self._ended(call.study, trial, "given up, worse than the median of the others")
             else:
-                reason = result.failed.get(call.node.key, "The worker said nothing.")
+                reason = result.failed.get(call.node.key, "The worker gave no reason.")
                 self._failed(call.study, trial, reason)
         self.store.forget_progress(result.group)
 
@@ -280,10 +282,10 @@ class _Search:
         leads = f"; best {best.value:.6g} of trial {best.number}" if best else ""
         title = f"{study.subject.dataset} {study.subject.model}"
         self._say(f"{title}: trial {trial.number} ({study.spent} of {self.trials}): {what}{leads}")
-        self.notes.add(study, trial.number)
+        self.queue.add(study, trial.number)
 
     def _close(self) -> None:
-        """Hand over the studies that have all they shall have."""
+        """Hand over the studies that have all their trials."""
         for study in list(self.open):
             if self._wants(study) or self._active(study):
                 continue

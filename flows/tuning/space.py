@@ -28,7 +28,6 @@ from optuna.distributions import (
 from components.models.supervised import SCHEDULES
 
 __all__ = [
-    "PASTS",
     "SPACES",
     "VERSION",
     "Choice",
@@ -41,13 +40,13 @@ __all__ = [
     "fixed",
     "parameters",
     "settings",
+    "space_of",
 ]
 
-PASTS: Final = ("history", "warm_up")
-"""Fields that say how far back a model looks: no question where one frame shows the whole state."""
+_PASTS: Final = ("history", "warm_up")  # fields that say how many frames back a model looks
 
 VERSION = 1
-"""Raise it when the same parameters come to mean other settings."""
+"""Raise it when the same parameters mean other settings."""
 
 
 class Parameter(Protocol):
@@ -67,7 +66,7 @@ Space = Mapping[str, Parameter]
 
 
 def _three_digits(value: float) -> float:
-    """More would suggest a precision that no search has."""
+    """Rounded to three digits: more would suggest a precision that no search has."""
     return float(f"{value:.3g}")
 
 
@@ -216,6 +215,20 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
 """By model of :data:`components.models.MODELS`."""
 
 
+def space_of(model: str, frames: int) -> Space:
+    """What a search varies.
+
+    Args:
+        model: Name of the model.
+        frames: Frames of an observation. If one shows the whole state, how far back a model looks
+            is not searched.
+    """
+    space = SPACES[model]
+    if frames > 1:
+        return space
+    return {name: kind for name, kind in space.items() if name not in _PASTS}
+
+
 def distributions(space: Space, start: Any) -> dict[str, BaseDistribution]:
     """What Optuna draws from, by field.
 
@@ -242,7 +255,7 @@ def settings(space: Space, start: Any, drawn: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: The configuration's class refuses the combination.
     """
-    unchanged = parameters(space, start)  # exact: rounding shall not move the start
+    unchanged = parameters(space, start)  # exact, so that rounding does not move the start
     changed = {
         name: kind.setting(drawn[name])
         for name, kind in space.items()

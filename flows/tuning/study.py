@@ -2,19 +2,17 @@
 
 The study's name ends in a digest of all that its losses depend on and that is not searched, so a
 study never mixes losses that cannot be compared. The driver alone writes. It may be killed at any
-line; :meth:`Study.recover` then sets straight what it left:
+line; :meth:`Study.recover` then repairs the study:
 
 - a trial that was running is failed, and its parameters are put in line again: the new trial means
   the same node, so its checkpoint or its finished artifact is used;
-- a trial that was found hopeless is pruned, whatever its worker came to know of that.
+- a trial that was found hopeless is pruned, whether or not its worker has stopped.
 
-A trial that failed by itself has a reason among its attributes and counts; one that was merely
-interrupted has none and does not.
+A trial that failed by itself has a reason among its attributes and counts. One that was
+interrupted has none and does not count.
 """
 
-import fcntl
 import math
-import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -27,6 +25,8 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from flows.pipeline.json_lines import cut_half_line
+from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 
@@ -40,7 +40,7 @@ _COMPARED = 3  # losses at the same percentage that a comparison needs
 
 @dataclass(frozen=True)
 class Subject:
-    """What is searched.
+    """A model on a dataset, and what is varied.
 
     Attributes:
         dataset: Its name.
@@ -81,24 +81,6 @@ class Subject:
         return replace(made, name=f"{made.name}/trial{number}")
 
 
-class _Lock:
-    """Optuna's journal lock as a kernel lock: a killed process leaves nothing to wait for."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._handle: int | None = None
-
-    def acquire(self) -> bool:
-        self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-        fcntl.flock(self._handle, fcntl.LOCK_EX)
-        return True
-
-    def release(self) -> None:
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
-
-
 def open_journal(path: Path) -> JournalStorage:
     """Open the file that holds all studies; made if missing.
 
@@ -107,10 +89,10 @@ def open_journal(path: Path) -> JournalStorage:
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = _Lock(path.with_name(f".{path.name}.lock"))
+    lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
     lock.acquire()
     try:
-        _cut_half_line(path)
+        cut_half_line(path)
     finally:
         lock.release()
     with warnings.catch_warnings():
@@ -118,22 +100,12 @@ def open_journal(path: Path) -> JournalStorage:
         return JournalStorage(JournalFileBackend(str(path), lock))
 
 
-def _cut_half_line(path: Path) -> None:
-    """Remove what a full disk or a power cut left of a last line; nobody has acted on it."""
-    if not path.exists():
-        return
-    with path.open("rb+") as file:
-        content = file.read()
-        if content and not content.endswith(b"\n"):
-            file.truncate(content.rfind(b"\n") + 1)
-
-
 def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
-    """How many trials the studies have, by their names; changes nothing.
+    """Number of ended trials by study name; changes nothing.
 
     Args:
         path: The journal.
-        subjects: What the studies are about.
+        subjects: Those of the studies.
     """
     found = dict.fromkeys((subject.name for subject in subjects), 0)
     if not path.exists():
@@ -153,7 +125,7 @@ class Study:
         """Opens the study or makes it.
 
         Args:
-            subject: What is searched.
+            subject: The model, the dataset and what is varied.
             journal: See :func:`open_journal`.
         """
         self.subject = subject
@@ -165,7 +137,7 @@ class Study:
                 storage=journal, study_name=self.name, direction="minimize", load_if_exists=True
             )
             self._study.sampler = optuna.samplers.TPESampler(
-                # Another run of the driver shall not draw again what one before it has drawn.
+                # Every run of the driver has another seed: with the same it would draw the same.
                 seed=(int(digest(self.name, 4), 16) + len(self.trials())) % 2**32,
                 n_startup_trials=_RANDOM_FIRST,
             )
@@ -181,11 +153,11 @@ class Study:
 
     @property
     def spent(self) -> int:
-        """Trials that came to an end of their own."""
+        """Number of trials that count: evaluated, pruned or failed by themselves."""
         return sum(has_ended(trial) for trial in self.trials())
 
     def recover(self) -> None:
-        """Set straight what a killed driver left, and put the start in line if it is missing."""
+        """Repair the study after a killed driver, and put the start in line if it is missing."""
         for trial in self.trials():
             if trial.state is not TrialState.RUNNING:
                 continue
@@ -233,7 +205,7 @@ class Study:
         return trial.should_prune()
 
     def give_up(self, trial: Trial) -> None:
-        """Remember that a running trial is hopeless; what it still does no longer counts."""
+        """Note that a running trial is hopeless; its later results do not count."""
         trial.set_user_attr("given_up", self._reported[trial.number])
 
     def complete(self, trial: Trial, loss: float) -> None:

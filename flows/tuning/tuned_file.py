@@ -1,4 +1,4 @@
-"""The winner of a search as a file that people read and benchmark runs use.
+"""The file that holds the winner of a search, for people and for benchmark runs.
 
     conf/tuned/DATASET/MODEL.yaml
 

@@ -1,5 +1,5 @@
-"""Where the groups of a plan are computed.
+"""Executors compute the groups of a plan.
 
-In: group calls, plain data that any machine can take. Out: which nodes finished, which failed.
+In: group calls, plain data that any computer can take. Out: which nodes finished, which failed.
 `executor` is the interface, `serial` works in this process, `ray` in processes of Ray.
 """

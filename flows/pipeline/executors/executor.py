@@ -25,9 +25,9 @@ class Executor(Protocol):
         """Gets ready.
 
         Args:
-            notify: Takes one-line messages for people.
+            notify: Takes one-line messages.
             watch: Called at every validation by executors that compute inside `wait`, so that the
-                caller can look at what happens meanwhile.
+                caller can read the losses reported so far.
         """
 
     def submit(self, call: GroupCall) -> None:

@@ -1,8 +1,8 @@
-"""An executor on Ray: on this machine, or on the cluster that RAY_ADDRESS names.
+"""An executor on Ray: on this computer, or on the cluster that RAY_ADDRESS names.
 
 Ray is only asked to start a function in another process and to say when it ended. Whether a group
 is started again after its worker died is decided here, so that it can be counted, shown and
-limited: Ray's own retries say nothing, and those after lack of memory never end.
+limited: Ray's own retries are silent, and those after lack of memory never end.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ def available_cpus() -> int:
 
 
 class RayExecutor:
-    """Runs groups as Ray tasks: on this machine, or on the cluster that RAY_ADDRESS names."""
+    """Runs groups as Ray tasks: on this computer, or on the cluster that RAY_ADDRESS names."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class RayExecutor:
         """Describes the cluster; nothing starts before `start`.
 
         Args:
-            cpus: Processors to use on this machine; all by default. A cluster knows its own.
+            cpus: Processors to use on this computer; all by default. A cluster knows its own.
             threads: Threads, and therefore processors, of one group.
             device: "cpu" or "cuda".
             gpus_per_task: Share of a GPU that one group occupies if the device is "cuda".
@@ -59,7 +59,7 @@ class RayExecutor:
     def start(
         self, notify: Callable[[str], None], watch: Callable[[], None] = lambda: None
     ) -> None:
-        """Starts Ray on this machine or connects to the cluster.
+        """Starts Ray on this computer or connects to the cluster.
 
         Nothing calls `watch`: the work goes on in other processes while `wait` returns.
 
@@ -69,7 +69,7 @@ class RayExecutor:
         self._notify = notify
         address = os.environ.get("RAY_ADDRESS")
         _set_ray_environment(local=not address)
-        _knock(address)
+        _check_address(address)
         import ray  # reads its environment at import, and costs a second
 
         self._ray = ray
@@ -83,7 +83,7 @@ class RayExecutor:
                 **({} if address else local),
             )
         except Exception as error:
-            where = f"the cluster at RAY_ADDRESS={address}" if address else "Ray on this machine"
+            where = f"the cluster at RAY_ADDRESS={address}" if address else "Ray on this computer"
             raise PipelineError(
                 f"Could not reach {where} ({_first_line(error)}): "
                 "start it, unset RAY_ADDRESS, or use the serial runner."
@@ -184,21 +184,21 @@ def _first_line(error: BaseException) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__).rstrip(".")
 
 
-def _knock(address: str | None) -> None:
-    """Finds a wrong address in seconds; Ray itself tries for minutes.
+def _check_address(address: str | None) -> None:
+    """Finds a wrong address in seconds, where Ray itself would try for minutes.
 
     Raises:
-        PipelineError: nobody listens there.
+        PipelineError: nothing listens there.
     """
     host, colon, port = (address or "").rpartition("://")[2].rpartition(":")
     if not colon or not port.isdigit():
-        return  # none, "auto" or something only Ray can judge
+        return  # none, "auto" or a form that only Ray knows
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
     except OSError as error:
         raise PipelineError(
             f"Nobody answers at RAY_ADDRESS={address} ({error.strerror or error}): "
-            "start the cluster, correct the address, or unset it to use this machine."
+            "start the cluster, correct the address, or unset it to use this computer."
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""From an artifact folder to what an MLflow run shows: parameters, curves, numbers, data sets."""
+"""Reads an artifact folder for its MLflow run: parameters, curves, numbers, data sets."""
 
 import errno
 import json
@@ -23,7 +23,7 @@ _MEASURED = ("wall_seconds", "seconds", "cpu_seconds", "peak_rss_mib")
 
 @dataclass(frozen=True)
 class RunContent:
-    """What a run shows besides the node itself.
+    """The content of a run besides the node itself.
 
     Attributes:
         record: The artifact's `node.json`.
@@ -49,7 +49,7 @@ def read_content(folder: Path) -> RunContent:
     # A name that is both a curve and a final number keeps its curve and gets the number at its end.
     ends = {name: step for name, _, _, step in metrics}
     finals = dict(read_json(folder / "metrics.json") or {})
-    # Named to sort last: the charts page opens with what was learned, not with what it took.
+    # Named to sort last: the charts page opens with what was learned, not with the cost.
     finals |= {f"usage/{name}": record[name] for name in _MEASURED if name in record}
     metrics += [
         (_name(name), float(value), last, ends.get(_name(name), 0))

@@ -1,4 +1,4 @@
-"""How MLflow is started here: quietly, with a database that is whole, and with known origins."""
+"""Sets MLflow up: no telemetry, a database that is whole, tags that name user and commit."""
 
 import getpass
 import logging
@@ -28,7 +28,7 @@ def import_mlflow() -> Any:
     import mlflow
 
     for name in ("mlflow", "alembic"):
-        # Whatever they would log as an error they also raise, and we say it in one sentence.
+        # They also raise what they log as an error, and we turn that into one sentence.
         logging.getLogger(name).setLevel(logging.CRITICAL)
     return mlflow
 
@@ -58,7 +58,7 @@ def make_database(root: Path) -> None:
 
 
 def origin() -> dict[str, str]:
-    """Who runs what: the user and the commit, as far as they are known."""
+    """Tags that name the user and the commit, as far as they are known."""
     origin = {}
     try:
         origin["mlflow.user"] = getpass.getuser()
@@ -80,5 +80,5 @@ def origin() -> dict[str, str]:
 
 
 def without_password(uri: str) -> str:
-    """An address as it may be printed."""
+    """An address without the password in it."""
     return re.sub(r"//[^/@]*@", "//", uri)

@@ -1,4 +1,4 @@
-"""What is written into an MLflow run, within the sizes that one call may have."""
+"""Writes into an MLflow run, within the sizes that one call may have."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

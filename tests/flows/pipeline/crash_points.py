@@ -4,9 +4,9 @@
     python -m tests.flows.pipeline.crash_points tracker FOLDER
 
 For each point a child is forked that kills itself with SIGKILL there: in front of the n-th change
-of the disk (found with an audit hook), or in front of the n-th call of MLflow. A second child then
-runs the same plan to its end. What went wrong is printed, one line per problem, and at last the
-number of points.
+of the disk (found with an audit hook; the tracker writes a file), or in front of the n-th call of
+MLflow. A second child then runs the same plan to its end. What went wrong is printed, one line per
+problem, and at last the number of points.
 """
 
 import os
@@ -14,6 +14,7 @@ import shutil
 import signal
 import sqlite3
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,11 +23,14 @@ from rich.console import Console
 
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import read_json
+from flows.pipeline.json_lines import read_lines
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, run_plan
+from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.tracker import Tracker
 from tests.flows.pipeline.toys import counted, node
 
 _CHANGES = ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "open")
@@ -43,26 +47,23 @@ def small_plan(log: Path) -> list[Node]:
 
 
 def disk_run(home: Path, log: Path) -> bool:
-    """Runs the plan without a tracker."""
-    return _run(home, log, NullTracker())
+    """Runs the plan with the tracker that writes a file."""
+    return _run(home, log, FileTracker(home))
 
 
 def tracker_run(home: Path, log: Path) -> bool:
     """Runs the plan with MLflow."""
-    tracker = MlflowTracker(home)
-    plan = Plan(small_plan(log))
-    tracker.open_sweep("crash", plan=plan)
-    good = _run(home, log, tracker)
-    tracker.close_sweep("FINISHED")
-    return good
+    return _run(home, log, MlflowTracker(home))
 
 
-def _run(home: Path, log: Path, tracker: Any) -> bool:
+def _run(home: Path, log: Path, tracker: Tracker) -> bool:
     with open(os.devnull, "w", encoding="utf-8") as null:
         display = Display(Console(file=null))
         store = ArtifactStore(home)
         plan = Plan(small_plan(log))
+        tracker.open("crash", plan=plan)
         outcome = run_plan(plan, store, tracker, display, executor=SerialExecutor())
+        tracker.close(outcome.status)
     # 1 and 2 added up three times.
     value = read_json(store.path(plan.nodes[-1].key) / "value.json")
     return outcome.exit_code == 0 and value == 9.0
@@ -165,6 +166,15 @@ def sweep(
     return point - 1
 
 
+def check_file(home: Path) -> str:
+    """One line per node, one beginning, one end."""
+    events = read_lines(home / "tracking" / "crash.jsonl")
+    kinds = Counter(event["event"] for event in events)
+    keys = {event["about"] for event in events if event["event"] == "node"}
+    whole = kinds == {"open": 1, "node": 4, "close": 1} and len(keys) == 4
+    return "" if whole else f"the tracker's file holds {dict(kinds)} of {len(keys)} nodes"
+
+
 def check_tracker(home: Path) -> str:
     """One finished run per node, all under one parent, none left open, no run without its files."""
     from mlflow import MlflowClient
@@ -193,7 +203,7 @@ def check_tracker(home: Path) -> str:
 def main(what: str, folder: Path) -> int:
     """Runs one of the two sweeps."""
     if what == "disk":
-        points = sweep(folder, disk_run, die_at_change, lambda home: "")
+        points = sweep(folder, disk_run, die_at_change, check_file)
     else:
         template = folder / "template"
         in_child(lambda: MlflowTracker(template) is not None)

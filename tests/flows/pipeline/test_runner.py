@@ -12,8 +12,9 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, Outcome, Tracker, run_plan
+from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.tracker import NullTracker, Tracker
 from tests.flows.pipeline.toys import counted, diamond, node
 
 

@@ -1,4 +1,4 @@
-"""Groups, their order, the estimate, and what people are shown of it."""
+"""Groups, their order, the estimate, and the display."""
 
 import io
 from pathlib import Path
@@ -9,7 +9,7 @@ from rich.console import Console
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
-from flows.pipeline.run_state import Line, RunState
+from flows.pipeline.run_state import ComponentState, RunState
 from flows.pipeline.schedule import CostModel, Group, form_groups, play
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
@@ -98,19 +98,19 @@ def test_plan_is_shown_with_counts_and_estimate(store: ArtifactStore, tmp_path: 
     assert not store.root.exists()  # a dry run leaves no trace
 
 
-def board_of(plan: Plan, store: ArtifactStore) -> tuple[RunState, list[Group]]:
+def run_state_of(plan: Plan, store: ArtifactStore) -> tuple[RunState, list[Group]]:
     groups = groups_of(plan, store)
     return RunState(plan, groups, store, 2, ()), groups
 
 
-def test_board_counts_running_fractions_and_failures(tmp_path: Path) -> None:
+def test_run_state_counts_running_fractions_and_failures(tmp_path: Path) -> None:
     store = ArtifactStore(tmp_path / "mlruns")
     plan = fan(tmp_path)
-    run_state, groups = board_of(plan, store)
+    run_state, groups = run_state_of(plan, store)
     for group in groups[:2]:
         run_state.submitted(group.name)
     write_json(store.progress_file(groups[0].name), {"fraction": 0.5})
-    data, train, collect = run_state.lines()
+    data, train, collect = run_state.components()
     assert (data.done, data.total, data.running) == (0, 2, 1)
     assert data.fraction == 0.25
     assert data.remaining is not None
@@ -122,14 +122,14 @@ def test_board_counts_running_fractions_and_failures(tmp_path: Path) -> None:
     for lane in list(groups[3].nodes):
         groups[3].nodes.remove(lane)
         run_state.skipped(lane.key)
-    data, train, _ = run_state.lines()
+    data, train, _ = run_state.components()
     assert (data.failed, train.skipped, train.over) == (1, 2, False)
 
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -> None:
     store = ArtifactStore(tmp_path / "mlruns")
-    run_state, groups = board_of(fan(tmp_path), store)
+    run_state, groups = run_state_of(fan(tmp_path), store)
     screen = Screen(terminal=terminal)
     screen.start(run_state)
     made = store.work / "made"
@@ -164,11 +164,13 @@ def test_durations_read_well() -> None:
     ]
 
 
-def test_a_log_hears_of_silent_work_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_running_work_is_logged_once_a_minute_without_a_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     clock = [1000.0]
     monkeypatch.setattr("flows.pipeline.progress.time.monotonic", lambda: clock[0])
     screen = Screen()
-    line = Line(
+    state = ComponentState(
         component="policy_training",
         total=4,
         reused=0,
@@ -182,7 +184,7 @@ def test_a_log_hears_of_silent_work_once_a_minute(monkeypatch: pytest.MonkeyPatc
     )
     for second in range(150):
         clock[0] = 1000.0 + second
-        screen._log(line)
+        screen._log(state)
     assert (
         screen.file.getvalue().splitlines()
         == ["policy training: 0/4 25% (4 running), 1 min 30 s left"] * 3

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from flows.pipeline.errors import StoreError
-from flows.pipeline.files import locked, read_json, write_json
+from flows.pipeline.files import read_json, write_json
+from flows.pipeline.locks import locked
 from flows.pipeline.store import ArtifactStore, disk_sentence
 
 A, B, C = (letter * 32 for letter in "abc")

@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 
 from flows.pipeline.executors.ray import RayExecutor
-from flows.tuning.trial_tracker import TrialTracker
+from flows.tuning.mlflow_trials import MlflowTrials
 from tests.flows.tuning.toys import run
 
 
 def main(home: Path, log: Path, trials: int) -> int:
     """Searches on two processors."""
-    tracker = TrialTracker(home)
-    tracker.open_sweep("search")
+    tracker = MlflowTrials(home)
+    tracker.open("search")
     outcome = run(home, log, trials, tracker=tracker, executor=RayExecutor(cpus=2))
-    tracker.close_sweep(outcome.status)
+    tracker.close(outcome.status)
     return outcome.exit_code
 
 

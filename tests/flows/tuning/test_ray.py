@@ -10,8 +10,8 @@ import pytest
 from optuna.trial import TrialState
 
 from flows.pipeline.store import ArtifactStore
+from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.study import _COMPARED_FROM, _PATIENCE, has_ended
-from flows.tuning.trial_tracker import TrialTracker
 from tests.flows.pipeline.toys import counted, wait_for
 from tests.flows.tuning.toys import STEPS, study, subject
 
@@ -75,6 +75,5 @@ def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: P
     assert counted(log, f"step-{bad.key}") < STEPS
     assert list(ArtifactStore(home).work.iterdir()) == []
     assert list((home / "progress").iterdir()) == []
-    tracker = TrialTracker(home)
-    runs = tracker.client.search_runs([tracker.experiment], f"tags.study = '{made.name}'")
+    runs = MlflowTrials(home).experiment.search(f"tags.study = '{made.name}'")
     assert sorted(int(run.data.tags["trial"]) for run in runs) == [t.number for t in trials]

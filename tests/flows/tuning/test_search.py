@@ -8,7 +8,7 @@ import pytest
 from optuna.trial import TrialState
 
 from flows.pipeline.errors import PipelineError
-from flows.pipeline.files import locked
+from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 from flows.pipeline.store import ArtifactStore
 from flows.tuning import space as spaces

@@ -16,11 +16,14 @@ from components.models import MODELS
 from flows import full_benchmark, tune_models
 from flows.command_line import main
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
+from flows.pipeline.json_lines import read_lines
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice
+from flows.planning.subjects import search_subjects
+from flows.tuning.file_trials import FileTrials
+from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.study import Study, open_journal
-from flows.tuning.trial_tracker import TrialTracker
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 
@@ -63,7 +66,7 @@ def studies_of(home: Path) -> dict[str, Study]:
     words = [*words_of(home), f"models=[{','.join(CHOSEN)}]"]
     settings = load_settings(words, tune_models.ALIASES)
     journal = open_journal(home / "mlruns" / "optuna" / "journal.log")
-    return {s.model: Study(s, journal) for s in tune_models.subjects(settings)}
+    return {s.model: Study(s, journal) for s in search_subjects(settings)}
 
 
 def fits(settings: Settings) -> dict[str, Node]:
@@ -135,13 +138,13 @@ def test_tuned_and_per_seed_go_together(home: Path) -> None:
 
 
 def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
-    tracker = TrialTracker(home / "mlruns")
-    [parent] = tracker.client.search_runs([tracker.experiment], "tags.kind = 'search'")
+    experiment = MlflowTrials(home / "mlruns").experiment
+    [parent] = experiment.search("tags.kind = 'search'")
     assert parent.info.status == "FINISHED"
-    names = {f.path for f in tracker.client.list_artifacts(parent.info.run_id, "report")}
+    names = {f.path for f in experiment.client.list_artifacts(parent.info.run_id, "report")}
     assert names == {f"report/{model}.yaml" for model in CHOSEN}
     for model, study in studies_of(home).items():
-        runs = tracker.client.search_runs([tracker.experiment], f"tags.study = '{study.name}'")
+        runs = list(experiment.search(f"tags.study = '{study.name}'"))
         assert {int(run.data.tags["trial"]) for run in runs} == set(range(TRIALS))
         assert len(runs) == TRIALS
         for run in runs:
@@ -151,7 +154,7 @@ def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
             assert run.data.metrics["validation_loss"] == trial.value
             assert run.data.tags["key"] == trial.user_attrs["key"]
             assert run.info.run_name == f"{model}/mediocre-0.2/trial{trial.number}"
-        lowest = tracker.client.get_metric_history(
+        lowest = experiment.client.get_metric_history(
             parent.info.run_id, f"best_loss/mediocre-0.2/{model}"
         )
         assert [m.step for m in lowest] == list(range(TRIALS))
@@ -175,6 +178,59 @@ def test_the_same_command_again_changes_nothing(
     with sqlite3.connect(store / "mlflow.db") as database:
         [(found,)] = database.execute("select count(*) from tags where key = 'trial'")
     assert found == len(CHOSEN) * TRIALS
+
+
+@pytest.mark.parametrize(("kind", "lines"), [("file", 2 + TRIALS), ("none", 0)])
+def test_a_search_needs_no_mlflow(
+    kind: str, lines: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*WORDS, "models=[behaviour_policy]", f"trials={TRIALS}", "sweep=search"]
+    words += [f"store={tmp_path}/mlruns", f"models.folder={tmp_path}/conf"]
+    words += [f"runner.tracker={kind}"]
+    for _ in range(2):  # again: nothing is added
+        assert door(tune_models, words, tune_models.ALIASES) == 0
+        assert "; the default has " in capsys.readouterr().out
+        found = read_lines(tmp_path / "mlruns" / "tracking" / "search.jsonl")
+        assert len(found) == lines
+    assert not (tmp_path / "mlruns" / "mlflow.db").exists()
+    if kind == "file":
+        begun, *trials, ended = found
+        assert begun["params"]["models"] == "behaviour_policy"
+        assert [trial["number"] for trial in trials] == list(range(TRIALS))
+        assert ended["files"] == [str(tmp_path / "conf" / "mediocre-0.2" / "behaviour_policy.yaml")]
+        lowest = ended["metrics"]["best_loss/mediocre-0.2/behaviour_policy"]
+        assert lowest[-1][1] == min(trial["loss"] for trial in trials)
+
+
+def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
+    log, place = tmp_path / "log", tmp_path / "mlruns"
+    log.mkdir()
+    (log / "fail-bad").touch()
+    study = toy_study(place, log)
+    study.recover()
+    study._study.enqueue_trial({"x": 0.5, "mood": "bad"})
+    (log / "interrupt").touch()
+    for code in (130, 0, 0):
+        trials = FileTrials(place)
+        trials.open("first", {"kind": "search"}, {})
+        assert search_toy(place, log, 4, tracker=trials).exit_code == code
+        trials.close("FINISHED")
+    ended = toy_study(place, log).trials()
+    found = [
+        event
+        for event in read_lines(place / "tracking" / "first.jsonl")
+        if event["event"] == "trial"
+    ]
+    assert sorted(event["number"] for event in found) == [trial.number for trial in ended]
+    assert {event["study"] for event in found} == {study.name}
+    assert {event["state"] for event in found} == {"COMPLETE", "FAIL", "INTERRUPTED"}
+    for event in found:
+        trial = ended[event["number"]]
+        assert event["drawn"] == trial.params
+        assert event["on_the_way"] == {str(k): v for k, v in trial.intermediate_values.items()}
+        assert event["loss"] == (trial.value if event["state"] == "COMPLETE" else None)
+        if event["state"] == "FAIL":
+            assert event["reason"] == "ValueError: this toy is in a bad mood"
 
 
 @pytest.mark.parametrize(
@@ -276,18 +332,19 @@ def test_pruned_failed_and_reused_trials_are_runs_too(
         study._study.enqueue_trial({"x": x, "mood": mood})
     study._study.enqueue_trial({"x": 0.95, "mood": "good"})
 
-    tracker = TrialTracker(place)
-    tracker.open_sweep("first")
+    tracker = MlflowTrials(place)
+    tracker.open("first")
     (log / "interrupt").touch()
     assert search_toy(place, log, 7, tracker=tracker).exit_code == 130
-    tracker.close_sweep("KILLED")
-    again = TrialTracker(place)
-    parent = again.open_sweep("first")
+    tracker.close("KILLED")
+    again = MlflowTrials(place)
+    again.open("first")
+    parent = again.sweep.run_id
     assert search_toy(place, log, 7, tracker=again).exit_code == 0
-    again.close_sweep("FINISHED")
+    again.close("FINISHED")
 
     trials = toy_study(place, log).trials()
-    runs = again.client.search_runs([again.experiment], f"tags.study = '{study.name}'")
+    runs = list(again.experiment.search(f"tags.study = '{study.name}'"))
     by_number = {int(run.data.tags["trial"]): run for run in runs}
     assert sorted(by_number) == [trial.number for trial in trials]
     assert len(runs) == len(trials) == 8
@@ -308,7 +365,7 @@ def test_pruned_failed_and_reused_trials_are_runs_too(
             assert tags["error"] == "ValueError: this toy is in a bad mood"
         if tags["state"] == "PRUNED":
             name = "model/validation_loss_on_the_way"
-            history = again.client.get_metric_history(run.info.run_id, name)
+            history = again.experiment.client.get_metric_history(run.info.run_id, name)
             assert [(m.step, m.value) for m in history] == list(trial.intermediate_values.items())
     # The second 0.31 found the artifact of the first, which has the run of the node.
     assert sorted(roles["COMPLETE"]) == ["node"] * 4 + ["trial"]

@@ -8,16 +8,17 @@ from pathlib import Path
 import pytest
 
 from components.environments.industrial import benchmark as industrial_benchmark
-from flows import tune_models
 from flows.configuration.settings import load_settings
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, run_plan
+from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.tracker import NullTracker
 from flows.planning.benchmark import data_plan
+from flows.planning.subjects import search_subjects
 from flows.tuning.search import search
 from flows.tuning.study import Study, open_journal
-from tests.flows.tuning.toys import NullTrialTracker
+from flows.tuning.trials import NullTrials
 
 FORBIDDEN = (
     "components.environments", "components.evaluation", "components.algorithms",
@@ -86,8 +87,8 @@ def test_no_environment_is_stepped_during_a_search(
         for name in {"step", "reset"} & set(vars(kind)):
             monkeypatch.setattr(kind, name, refuse)
     journal = open_journal(tmp_path / "journal.log")
-    studies = [Study(subject, journal) for subject in tune_models.subjects(settings)]
-    outcome = search(studies, 2, store, NullTrialTracker(), SerialExecutor(), lambda text: None)
+    studies = [Study(subject, journal) for subject in search_subjects(settings)]
+    outcome = search(studies, 2, store, NullTrials(), SerialExecutor(), lambda text: None)
     assert outcome.exit_code == 0
     assert [study.spent for study in studies] == [2, 2]
     assert stepped == []

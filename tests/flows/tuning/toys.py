@@ -15,7 +15,7 @@ from flows.pipeline.task import Job, TaskContext
 from flows.tuning.search import Outcome, search
 from flows.tuning.space import Choice, Range, Space
 from flows.tuning.study import Study, Subject, open_journal
-from flows.tuning.trial_tracker import TrialRecord
+from flows.tuning.trials import NullTrials
 from tests.flows.pipeline.toys import count, wait_for
 
 STEPS = 20
@@ -93,17 +93,6 @@ def subject(log: Path, **start: Any) -> Subject:
     return Subject("made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node)
 
 
-class NullTrialTracker:
-    """Remembers nothing."""
-
-    def recorded(self, study: str) -> set[int]:
-        """None."""
-        return set()
-
-    def log_trial(self, trial: TrialRecord) -> None:
-        """Does nothing."""
-
-
 def study(home: Path, log: Path, **start: Any) -> Study:
     """The study as a new driver opens it."""
     return Study(subject(log, **start), open_journal(home / "optuna" / "journal.log"))
@@ -112,7 +101,7 @@ def study(home: Path, log: Path, **start: Any) -> Study:
 def run(home: Path, log: Path, trials: int, **kind: Any) -> Outcome:
     """A whole search by a new driver, in this process."""
     notes = kind.pop("notes", [])
-    tracker = kind.pop("tracker", NullTrialTracker())
+    tracker = kind.pop("tracker", NullTrials())
     executor = kind.pop("executor", None) or SerialExecutor()
     found = [study(home, log, **kind)]
     return search(found, trials, ArtifactStore(home), tracker, executor, notes.append)

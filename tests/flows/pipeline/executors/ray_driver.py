@@ -21,10 +21,10 @@ def main(home: Path, log: Path) -> int:
     """Runs the diamond on two processors."""
     plan = Plan(diamond(log, pause=0.2, hold=HOLD))
     store, tracker = ArtifactStore(home), MlflowTracker(home)
-    tracker.open_sweep("killed", plan=plan)
+    tracker.open("killed", plan=plan)
     count(str(log), "drivers")
     outcome = run_plan(plan, store, tracker, Display(), executor=RayExecutor(cpus=2))
-    tracker.close_sweep(outcome.status)
+    tracker.close(outcome.status)
     return outcome.exit_code
 
 

@@ -16,9 +16,10 @@ from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.files import read_json
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, run_plan
+from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.executors.ray_driver import HOLD
 from tests.flows.pipeline.toys import counted, diamond, node, wait_for
 
@@ -123,11 +124,11 @@ def test_killed_driver_continues_to_the_same_result(tmp_path: Path) -> None:
     # At most the step in progress at each of the two stops is done again.
     assert 40 <= done() <= 44
     assert list(store.work.iterdir()) == []
-    tracker = MlflowTracker(home)
-    runs = tracker.client.search_runs([tracker.experiment], "tags.role = 'node'")
+    experiment = MlflowTracker(home).experiment
+    runs = experiment.search("tags.role = 'node'")
     finished = [run.data.tags["key"] for run in runs if run.info.status == "FINISHED"]
     assert sorted(finished) == sorted(node.key for node in plan)
-    (parent,) = tracker.client.search_runs([tracker.experiment], "tags.role = 'sweep'")
+    (parent,) = experiment.search("tags.role = 'sweep'")
     assert parent.info.status == "FINISHED"
 
 

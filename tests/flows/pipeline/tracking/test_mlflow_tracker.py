@@ -21,11 +21,13 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import NullTracker, Outcome, run_plan
+from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
 from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
+from flows.pipeline.tracking.mlflow_ui import runs_address, server_command
+from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import node, wait_for
 
 
@@ -57,18 +59,18 @@ def home(bare: Path, database: Path) -> Path:
 def run(home: Path, nodes: list[Node], sweep: str = "first") -> tuple[Outcome, MlflowTracker]:
     tracker = MlflowTracker(home, source="tests")
     plan = Plan(nodes)
-    tracker.open_sweep(sweep, {"profile": "toy"}, {"a": {"b": [1, 2]}}, plan)
+    tracker.open(sweep, {"profile": "toy"}, {"a": {"b": [1, 2]}}, plan)
     with open(os.devnull, "w", encoding="utf-8") as null:
         display = Display(Console(file=null))
         outcome = run_plan(plan, ArtifactStore(home), tracker, display, executor=SerialExecutor())
     report = home / "results.csv"
     report.write_text("dataset\n")
-    tracker.close_sweep(outcome.status, [report], {"nodes": [(0, len(plan))]})
+    tracker.close(outcome.status, [report], {"nodes": [(0, len(plan))]})
     return outcome, tracker
 
 
 def runs(tracker: MlflowTracker, role: str) -> list[Any]:
-    return tracker.client.search_runs([tracker.experiment], f"tags.role = '{role}'")
+    return list(tracker.experiment.search(f"tags.role = '{role}'"))
 
 
 def small(home: Path) -> list[Node]:
@@ -85,9 +87,9 @@ def test_sweep_and_nodes_are_recorded(home: Path) -> None:
     assert parent.data.params == {"a.b": "[1, 2]", "nodes.toys": "2"}
     assert parent.data.tags["profile"] == "toy"
     assert parent.data.metrics == {"nodes": 2.0}
-    assert [f.path for f in tracker.client.list_artifacts(parent.info.run_id, "report")] == [
-        "report/results.csv"
-    ]
+    assert [
+        f.path for f in tracker.experiment.client.list_artifacts(parent.info.run_id, "report")
+    ] == ["report/results.csv"]
 
     by_name = {run.info.run_name: run for run in runs(tracker, "node")}
     assert set(by_name) == {"source", "last"}
@@ -112,7 +114,7 @@ def test_sweep_and_nodes_are_recorded(home: Path) -> None:
     assert last.data.params["nested.x"] == "null"
     assert last.data.metrics["value"] == 2.0
     assert last.data.metrics["usage/wall_seconds"] == record["wall_seconds"]
-    history = tracker.client.get_metric_history(last.info.run_id, "train/loss")
+    history = tracker.experiment.client.get_metric_history(last.info.run_id, "train/loss")
     assert [(m.step, m.value) for m in history] == [(i, 2.0 + i) for i in range(10)]
     (read,) = last.inputs.dataset_inputs
     assert (read.dataset.name, read.dataset.digest) == ("toy", "d" * 36)
@@ -189,9 +191,9 @@ def test_failure_is_recorded_and_success_gets_a_run_of_its_own(home: Path) -> No
 def test_runs_a_killed_driver_left_open_are_closed(home: Path) -> None:
     tracker = MlflowTracker(home)
     tags = {"role": "node", "key": small(home)[0].key}
-    tracker.client.create_run(tracker.experiment, tags=tags, run_name="half")
-    tracker.client.create_run(
-        tracker.experiment, tags={"role": "sweep", "sweep": "first"}, run_name="first"
+    tracker.experiment.client.create_run(tracker.experiment.id, tags=tags, run_name="half")
+    tracker.experiment.client.create_run(
+        tracker.experiment.id, tags={"role": "sweep", "sweep": "first"}, run_name="first"
     )
     _, tracker = run(home, small(home))
     states = sorted((r.info.run_name, r.info.status) for r in runs(tracker, "node"))
@@ -263,7 +265,7 @@ def test_server_keeps_the_runs_and_their_artifacts(
             monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{port}")
             _, tracker = run(bare, small(bare))
             (last,) = [r for r in runs(tracker, "node") if r.info.run_name == "last"]
-            files = {f.path for f in tracker.client.list_artifacts(last.info.run_id)}
+            files = {f.path for f in tracker.experiment.client.list_artifacts(last.info.run_id)}
         finally:
             os.killpg(server.pid, signal.SIGKILL)
     assert {"node.json", "deep", "curves.npz"} <= files
@@ -271,9 +273,19 @@ def test_server_keeps_the_runs_and_their_artifacts(
     assert not (bare / "mlflow.db").exists()
 
 
+def test_the_list_of_runs_has_an_address(home: Path) -> None:
+    assert runs_address(home / "mlflow.db", 5001) == "http://127.0.0.1:5001"  # no experiment yet
+    experiment = MlflowTracker(home).experiment.id
+    assert runs_address(home / "mlflow.db", 5001).startswith(
+        f"http://127.0.0.1:5001/#/experiments/{experiment}/runs"
+    )
+    command = server_command(f"sqlite:///{home}/mlflow.db", 5001)
+    assert command[command.index("--host") + 1] == "127.0.0.1"
+
+
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
     script = (
-        "import sys; from flows.pipeline.files import locked; from pathlib import Path\n"
+        "import sys; from flows.pipeline.locks import locked; from pathlib import Path\n"
         "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     )
     tracker = MlflowTracker(home)
@@ -287,15 +299,15 @@ def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
         with pytest.raises(TrackingError, match="Another process is running the sweep 'first'"):
-            tracker.open_sweep("first")
+            tracker.open("first")
         other.kill()
-    assert tracker.open_sweep("first")
-    tracker.close_sweep("FINISHED")
+    tracker.open("first")
+    tracker.close("FINISHED")
 
 
 def test_sweep_name_may_not_break_searches(home: Path) -> None:
     with pytest.raises(ValueError, match="letters, digits"):
-        MlflowTracker(home).open_sweep("it's")
+        MlflowTracker(home).open("it's")
 
 
 def make(folder: Path, **files: Any) -> Callable[[], Any]:

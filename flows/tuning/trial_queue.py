@@ -1,4 +1,4 @@
-"""What a search still has to tell the tracker: every trial that ended, whoever saw it end."""
+"""The ended trials of a search that its tracker has not recorded yet."""
 
 import contextlib
 from collections.abc import Callable, Iterable
@@ -8,21 +8,21 @@ from optuna.trial import FrozenTrial, TrialState
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.store import ArtifactStore
 from flows.tuning.study import Study, has_ended
-from flows.tuning.trial_tracker import TrialRecord, Trials
+from flows.tuning.trials import TrialRecord, Trials
 
-__all__ = ["TrialNotes"]
+__all__ = ["TrialQueue"]
 
 
-class TrialNotes:
-    """Trials in the order in which they ended, until the tracker has them.
+class TrialQueue:
+    """Trials in the order in which they ended, until the tracker has recorded them.
 
-    A tracker that fails once is not asked again: the studies remember everything, so the next run
-    of the search records what is missing.
+    A tracker that fails once is not asked again: the studies hold everything, so the next run of
+    the search records what is missing.
 
     Args:
-        tracker: Who remembers the trials.
+        tracker: Records the trials.
         store: Where artifacts lie.
-        say: Takes one-line messages for people.
+        say: Takes one-line messages.
 
     Attributes:
         closed: Why trials are missing in the tracker; empty if none is.
@@ -36,11 +36,11 @@ class TrialNotes:
         self._waiting: list[tuple[Study, int]] = []
 
     def add(self, study: Study, number: int) -> None:
-        """Note a trial that ended."""
+        """Puts a trial that ended in line."""
         self._waiting.append((study, number))
 
     def catch_up(self, studies: Iterable[Study]) -> None:
-        """Write what a killed driver told the studies but not the tracker."""
+        """Records the trials that an earlier run of the search has left out."""
         for study in studies:
             try:
                 known = self._tracker.recorded(study.name)
@@ -52,7 +52,7 @@ class TrialNotes:
         self.write()
 
     def write(self) -> None:
-        """Tell the tracker what is noted."""
+        """Records what waits."""
         while self._waiting and not self.closed:
             study, number = self._waiting[0]
             try:
@@ -68,7 +68,8 @@ class TrialNotes:
 
     def _record(self, study: Study, trial: FrozenTrial) -> TrialRecord:
         node = None
-        with contextlib.suppress(ValueError, KeyError):  # impossible, or interrupted while asked
+        # The settings may be impossible, or the trial interrupted before all of them were drawn.
+        with contextlib.suppress(ValueError, KeyError):
             node = study.subject.node_of(trial.params, trial.number)
         complete = trial.state is TrialState.COMPLETE
         return TrialRecord(

@@ -1,0 +1,63 @@
+"""Files of JSON lines: they only grow, and survive killed writers and full disks."""
+
+import errno
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+__all__ = ["append_line", "cut_half_line", "read_lines"]
+
+
+def append_line(path: Path, value: Mapping[str, Any]) -> None:
+    """Adds one line, whole or not at all.
+
+    Args:
+        path: The file; made if missing. The caller keeps other writers away.
+        value: What the line holds.
+
+    Raises:
+        OSError: The disk is full or cannot be written; the file is as it was.
+    """
+    line = json.dumps(value, default=str).encode() + b"\n"
+    with path.open("ab", buffering=0) as file:
+        size = file.tell()
+        try:
+            if file.write(line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            with suppress(OSError):
+                file.truncate(size)
+            raise
+
+
+def cut_half_line(path: Path) -> None:
+    """Removes what a kill, a full disk or a power cut left of a last line, if anything."""
+    if not path.exists():
+        return
+    with path.open("rb+") as file:
+        content = file.read()
+        if content and not content.endswith(b"\n"):
+            file.truncate(content.rfind(b"\n") + 1)
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """All lines; none if there is no file.
+
+    Raises:
+        ValueError: A line is no JSON object; the message names the file and the line.
+    """
+    if not path.exists():
+        return []
+    lines = []
+    for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = None
+        if not isinstance(value, dict):
+            raise ValueError(f"line {number} of {path} is no JSON object")
+        lines.append(value)
+    return lines

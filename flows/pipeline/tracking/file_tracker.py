@@ -1,0 +1,195 @@
+"""Sweeps as JSON lines: STORE/tracking/SWEEP.jsonl, for people, `jq` and `pandas.read_json`.
+
+Every line is an event with its `time` in seconds since 1970 and what it is `about`: `open`, `node`,
+`failure` or `close`. An event is written unless the newest one about the same thing is equal, so a
+sweep that is run again adds nothing, and a node that failed and then finished has two lines.
+"""
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.files import read_json
+from flows.pipeline.json_lines import append_line, cut_half_line, read_lines
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.tracking.sweep_lock import hold_sweep
+from flows.pipeline.tracking.tracker import Metrics
+
+__all__ = ["FileTracker", "SweepFile", "describe_node"]
+
+
+class SweepFile:
+    """The file of one sweep, open in one process at a time."""
+
+    def __init__(self, root: Path | str) -> None:
+        """Takes the store's folder; nothing is open yet."""
+        self._root = Path(root).absolute()
+        self._path: Path | None = None
+        self._newest: dict[str, dict[str, Any]] = {}
+        self._lock = ExitStack()
+
+    def open(self, name: str) -> None:
+        """Opens the file of a sweep and reads its events.
+
+        Raises:
+            TrackingError: it cannot be read or written, or another process is running this sweep.
+            ValueError: the name is none for a sweep.
+        """
+        self._lock.enter_context(hold_sweep(self._root, name))
+        path = self._root / "tracking" / f"{name}.jsonl"
+        with _one_sentence(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cut_half_line(path)
+            self._newest = {str(event.get("about")): event for event in read_lines(path)}
+        self._path = path
+
+    def close(self) -> None:
+        """Lets other processes open the sweep."""
+        self._path = None
+        self._lock.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether events can be written."""
+        return self._path is not None
+
+    def newest(self) -> list[dict[str, Any]]:
+        """The newest event about every thing."""
+        return list(self._newest.values())
+
+    def has(self, event: str, about: str) -> bool:
+        """Whether the newest event about a thing is of this kind."""
+        return self._newest.get(about, {}).get("event") == event
+
+    def write(self, event: str, about: str, content: Mapping[str, Any]) -> None:
+        """Adds an event, unless the newest one about the same thing is equal.
+
+        Args:
+            event: Its kind.
+            about: What it is about: a key, or a name.
+            content: Its further fields; JSON-able.
+
+        Raises:
+            TrackingError: the file cannot be written.
+        """
+        if self._path is None:
+            raise TrackingError("No sweep is open in the file tracker: open one before it writes.")
+        fields = {"event": event, "about": about, **content}
+        if _text(fields) == _text(self._newest.get(about, {})):
+            return
+        line = {"time": round(time.time(), 3), **fields}
+        with _one_sentence(self._path):
+            append_line(self._path, line)
+        self._newest[about] = line
+
+
+def _text(event: Mapping[str, Any]) -> str:
+    """An event without its time; as text, because a NaN equals no other one."""
+    fields = {name: value for name, value in event.items() if name != "time"}
+    return json.dumps(fields, default=str, sort_keys=True)
+
+
+@contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise TrackingError(
+            f"The tracker's file {path} cannot be used ({why}); artifacts on disk are safe: "
+            "repair or remove it, or choose runner.tracker=none, and give the same command again."
+        ) from error
+
+
+class FileTracker:
+    """The tracker that writes JSON lines.
+
+    Attributes:
+        file: Of the open sweep.
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        """Takes the store's folder; nothing is written before a sweep is opened."""
+        self.file = SweepFile(root)
+
+    def open(
+        self,
+        name: str,
+        tags: Mapping[str, str] | None = None,
+        params: Mapping[str, Any] | None = None,
+        plan: Plan | None = None,
+    ) -> None:
+        """Opens the file of a sweep, see `Tracker.open`.
+
+        Raises:
+            TrackingError: the file cannot be used, or another process is running this sweep.
+            ValueError: the name is none for a sweep.
+        """
+        self.file.open(name)
+        nodes = None if plan is None else dict(plan.counts())
+        content = {"sweep": name, "tags": dict(tags or {}), "params": dict(params or {})}
+        self.file.write("open", "open", content | {"nodes": nodes})
+
+    def log_node(self, node: Node, folder: Path) -> None:
+        """Records a finished node, see `Tracker.log_node`.
+
+        Raises:
+            TrackingError: the file cannot be written.
+        """
+        if not self.file.has("node", node.key):
+            self.file.write("node", node.key, describe_node(node) | _result(folder))
+
+    def log_failure(self, node: Node, reason: str) -> None:
+        """Records a failed node, see `Tracker.log_failure`.
+
+        Raises:
+            TrackingError: the file cannot be written.
+        """
+        self.file.write("failure", node.key, describe_node(node) | {"reason": reason})
+
+    def close(
+        self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
+    ) -> None:
+        """Records how the sweep ended, see `Tracker.close`.
+
+        Raises:
+            TrackingError: the file cannot be written.
+        """
+        if not self.file.is_open:
+            return
+        content = {
+            "status": status,
+            "files": [str(file) for file in files],
+            "metrics": {name: list(points) for name, points in (metrics or {}).items()},
+        }
+        try:
+            self.file.write("close", "close", content)
+        finally:
+            self.file.close()
+
+
+def describe_node(node: Node) -> dict[str, Any]:
+    """The fields of every event about a node."""
+    return {
+        "name": node.name,
+        "component": node.component,
+        "version": node.version,
+        "tags": dict(node.tags),
+        "config": dict(node.config),
+        "inputs": {role: source.key for role, source in node.inputs.items()},
+    }
+
+
+def _result(folder: Path) -> dict[str, Any]:
+    """Numbers and times from an artifact's files; curves stay there."""
+    record = read_json(folder / "node.json") or {}
+    measured = ("started", "finished", "seconds", "device", "hardware", "package")
+    return {
+        "folder": f"{folder.parent.name}/{folder.name}",
+        "metrics": read_json(folder / "metrics.json") or {},
+        **{name: record[name] for name in measured if name in record},
+    }

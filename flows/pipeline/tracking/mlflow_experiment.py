@@ -1,0 +1,175 @@
+"""The MLflow experiment that all sweeps share: how its runs are found and written.
+
+MLflow is imported when an experiment is opened, not before: that takes more than a second.
+"""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.locks import locked
+from flows.pipeline.tracking.mlflow_run import link_tree
+from flows.pipeline.tracking.mlflow_setup import (
+    EXPERIMENT,
+    import_mlflow,
+    make_database,
+    origin,
+    without_password,
+)
+from flows.pipeline.tracking.mlflow_writes import log_batches, log_datasets
+
+__all__ = ["MlflowExperiment"]
+
+_MANY = 1000  # runs per page of a search
+
+
+class MlflowExperiment:
+    """One MLflow experiment, in a database of our own or at the address in MLFLOW_TRACKING_URI.
+
+    Attributes:
+        root: Folder of the store.
+        uri: Address of MLflow.
+        client: An MlflowClient, for whatever has no method here.
+        id: The experiment's id.
+        common: Tags of every run: user, commit and program.
+    """
+
+    def __init__(self, root: Path | str, source: str = "", name: str = EXPERIMENT) -> None:
+        """Opens the experiment; makes database and experiment if there are none.
+
+        Args:
+            root: Folder of the store. By default the database is `mlflow.db` in it.
+            source: What runs, for the column "source" of the UI.
+            name: Name of the experiment.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        self.root = Path(root).absolute()
+        self.uri = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow.db"
+        own = not os.environ.get("MLFLOW_TRACKING_URI")
+        self.common = {"mlflow.source.name": source, "mlflow.source.type": "LOCAL"} | origin()
+        with self.one_sentence():
+            (self.root / "locks").mkdir(parents=True, exist_ok=True)
+            mlflow = import_mlflow()
+            with self._alone():
+                if own:
+                    make_database(self.root)
+                self.client = mlflow.MlflowClient(tracking_uri=self.uri)
+                self.id = self._open(name)
+
+    def _open(self, name: str) -> str:
+        experiment = self.client.get_experiment_by_name(name)
+        if experiment is None:
+            # A server decides by itself where its artifacts lie.
+            remote = self.uri.partition(":")[0] in ("http", "https", "databricks")
+            place = None if remote else (self.root / "artifacts").as_uri()
+            return str(self.client.create_experiment(name, artifact_location=place))
+        if experiment.lifecycle_stage != "active":
+            self.client.restore_experiment(experiment.experiment_id)
+        return str(experiment.experiment_id)
+
+    def search(self, text: str) -> Iterator[Any]:
+        """The runs that match a filter in MLflow's language, the newest first."""
+        token = None
+        while True:
+            page = self.client.search_runs([self.id], text, max_results=_MANY, page_token=token)
+            yield from page
+            token = page.token
+            if not token:
+                return
+
+    def write_run(
+        self,
+        name: str,
+        tags: Mapping[str, str],
+        status: str,
+        *,
+        params: Mapping[str, str],
+        metrics: Iterable[tuple[str, float, int, int]] = (),
+        datasets: Sequence[Mapping[str, Any]] = (),
+        folder: Path | None = None,
+        texts: Mapping[str, str] | None = None,
+        times: tuple[int, int] | None = None,
+    ) -> str:
+        """Writes a run from its creation to its end; the caller holds `writing()`.
+
+        Args:
+            name: Of the run.
+            tags: Beside those of every run.
+            status: FINISHED, FAILED or KILLED.
+            params: Parameters by name.
+            metrics: (name, value, milliseconds since 1970, step).
+            datasets: Data sets that were read, each with `name`, `digest` and `source`.
+            folder: Files to keep with the run.
+            texts: Content of further files by name.
+            times: Start and end in milliseconds since 1970; now by default.
+
+        Returns:
+            The run's id.
+        """
+        start, end = times or (None, None)
+        run = self.client.create_run(
+            self.id, start_time=start, run_name=name, tags=self.common | dict(tags)
+        )
+        run_id = str(run.info.run_id)
+        log_batches(self.client, run_id, params=params)
+        log_batches(self.client, run_id, metrics=metrics)
+        log_datasets(self.client, run_id, datasets)
+        if folder is not None:
+            self._keep(run_id, run.info.artifact_uri, folder)
+        for file, text in (texts or {}).items():
+            self.client.log_text(run_id, text, file)
+        self.client.set_terminated(run_id, status, end_time=end)
+        return run_id
+
+    def _keep(self, run_id: str, uri: str, folder: Path) -> None:
+        from mlflow.utils.file_utils import local_file_uri_to_path
+        from mlflow.utils.uri import is_local_uri
+
+        if is_local_uri(uri):
+            link_tree(folder, Path(local_file_uri_to_path(uri)))
+        else:
+            self.client.log_artifacts(run_id, str(folder))
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Keeps other processes away and turns errors into one sentence.
+
+        Every run is written from beginning to end inside, so an unfinished one found inside was
+        left by a process that was killed.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        with self.one_sentence(), self._alone():
+            yield
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """One driver on this folder at a time: no half-made database, no second run of a key."""
+        with locked(self.root / "locks" / "tracker.lock"):
+            yield
+
+    @contextmanager
+    def one_sentence(self) -> Iterator[None]:
+        """Turns an error of MLflow or its database into one sentence.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        try:
+            yield
+        except TrackingError:
+            raise
+        except Exception as error:
+            line = next(iter(str(error).strip().splitlines()), "") or type(error).__name__
+            line = without_password(line)[:300].rstrip(".")
+            raise TrackingError(
+                f"MLflow at {without_password(self.uri)} refused ({line}); "
+                "artifacts on disk are safe: repair it, or set MLFLOW_TRACKING_URI to another "
+                "one, and give the same command again."
+            ) from error

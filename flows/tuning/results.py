@@ -1,0 +1,66 @@
+"""What a search has found: its winner, one sentence about it, and the way there."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from datetime import date
+
+from optuna.trial import TrialState
+
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.tracker import Metrics
+from flows.tuning.study import Study
+from flows.tuning.tuned_file import TunedModel
+
+__all__ = ["lowest_losses", "verdict", "winner"]
+
+
+def winner(study: Study, store: ArtifactStore) -> TunedModel | None:
+    """The content of a study's tuned file; None if no trial is complete.
+
+    Args:
+        study: The study.
+        store: Where its dataset lies.
+    """
+    best, start, subject = study.best(), study.start_trial(), study.subject
+    if best is None:
+        return None
+    card = store.path(subject.data.key) / "dataset" / "card.json"
+    started = start is not None and start.state is TrialState.COMPLETE
+    return TunedModel(
+        dataset=subject.dataset,
+        model=subject.model,
+        study=study.name,
+        trial=best.number,
+        trials=study.spent,
+        validation_loss=best.value,
+        default_validation_loss=start.value if started else None,
+        data_digest=json.loads(card.read_text(encoding="utf-8"))["digest"],
+        data_key=subject.data.key,
+        date=date.today().isoformat(),
+        settings=asdict(study.config(best)),
+    )
+
+
+def verdict(tuned: TunedModel) -> str:
+    """The winner's loss beside that of the default configuration, without a final stop."""
+    text = f"{tuned.dataset} {tuned.model}: trial {tuned.trial} of {tuned.trials} with a held-out "
+    text += f"loss of {tuned.validation_loss:.6g}"
+    default = tuned.default_validation_loss
+    if default is None:
+        return f"{text}; the default could not be evaluated"
+    gain = 1.0 - tuned.validation_loss / default if default else 0.0
+    return f"{text}; the default has {default:.6g} ({gain:.1%} less)"
+
+
+def lowest_losses(studies: Iterable[Study]) -> Metrics:
+    """Per study the lowest loss so far over the number of the trial."""
+    curves: dict[str, list[tuple[int, float]]] = {}
+    for study in studies:
+        best = float("inf")
+        for trial in study.trials():
+            if trial.state is TrialState.COMPLETE:
+                best = min(best, trial.value)
+                name = f"best_loss/{study.subject.dataset}/{study.subject.model}"
+                curves.setdefault(name, []).append((trial.number, best))
+    return curves
