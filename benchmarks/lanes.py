@@ -57,14 +57,13 @@ def program(
         device: Where to train.
         settings: Differences from the learner's default configuration.
     """
-    module = ALGORITHMS[algorithm]
-    parts = LearnerInputs(
-        data=LaneData([dataset] * len(seeds), device, module.FRAME_EPSILON),
+    record = ALGORITHMS[algorithm]
+    inputs = LearnerInputs(
+        data=LaneData([dataset] * len(seeds), device, record.frame_epsilon),
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in seeds],
-        models={name: [UNTRAINED[name](dataset)] * len(seeds) for name in module.NEEDS},
+        models={name: [UNTRAINED[name](dataset)] * len(seeds) for name in record.needs},
     )
-    learner: BranchingLearner = module.Learner(module.Config(**settings), parts)
-    return learner
+    return record.learner(record.config(**settings), inputs)
 
 
 def _behaviour(dataset: OfflineDataset) -> Policy:

@@ -5,7 +5,7 @@ ten minutes or more. `make peers` installs d3rlpy. It pins a Gymnasium older tha
 therefore lives in an environment of its own; so every measurement, ours too, is a process of its
 own, one after the other: one lane, five lanes, d3rlpy, and again. All get the same threads, the
 same allocator settings, the same transitions, layers, batch and sample sizes, and only the steady
-state is timed: past the warm-up of BEAR and the cloning of CQL.
+state is timed: past the warm-ups of BEAR and CQL.
 
 A step of d3rlpy is what its `fit` does without logger and progress bar. It samples from a table of
 stacked histories, ours gathers them from the frames. Both draw their own random numbers, ours for
@@ -121,7 +121,7 @@ def own_seconds(
         settings: Differences from the default configuration.
     """
     learner = program(algorithm, dataset, range(lanes), torch.device("cpu"), **settings)
-    middle = ALGORITHMS[algorithm].Config(**settings).updates // 2  # past every warm-up
+    middle = ALGORITHMS[algorithm].config(**settings).updates // 2  # past every warm-up
     first = (middle // BLOCK + 1) * BLOCK
     for step in range(first - WARM_UP, first):
         learner.update(step)
@@ -154,7 +154,7 @@ def own_command(dataset: Path, algorithm: str, lanes: int, updates: int, threads
 
 def peer_command(peer: Path, data: Path, algorithm: str, updates: int, threads: int) -> list[str]:
     """What measures d3rlpy, with our default settings, on stored transitions."""
-    settings = {"algorithm": algorithm, **asdict(ALGORITHMS[algorithm].Config())}
+    settings = {"algorithm": algorithm, **asdict(ALGORITHMS[algorithm].config())}
     script = Path(__file__).with_name("peer_d3rlpy.py")
     counts = {"--threads": threads, "--updates": updates, "--warm-up": WARM_UP}
     options = [str(word) for pair in counts.items() for word in pair]
@@ -242,7 +242,7 @@ def report(
         folder, arrays = Path(name) / "dataset", Path(name) / "transitions.npz"
         dataset.write(folder)
         for algorithm in algorithms:
-            write_transitions(dataset, ALGORITHMS[algorithm].FRAME_EPSILON, arrays)
+            write_transitions(dataset, ALGORITHMS[algorithm].frame_epsilon, arrays)
             one, five, other = _UPDATES[algorithm]
             commands = [
                 own_command(folder, algorithm, 1, one, threads),

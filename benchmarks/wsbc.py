@@ -19,7 +19,7 @@ from torch import Tensor
 
 from benchmarks.lanes import UNTRAINED, program
 from benchmarks.measure import machine, markdown, median_seconds
-from components.algorithms.parts.learner import first_rows
+from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config
 from components.data.batches import LaneData
 from components.data.dynamics import DynamicsSpecification
@@ -134,7 +134,7 @@ def report(
     policy = UNTRAINED["behaviour_policy"](dataset)
     ensemble = UNTRAINED["recurrent_ensemble"](dataset)
     rule, data = DynamicsSpecification.of_card(dataset.card), LaneData([dataset], place)
-    rows = first_rows(dataset, config.start_window)[: config.starts]
+    rows = start_rows(dataset, config.start_window)[: config.starts]
     [start] = data.denormalise_history(data.observations(torch.from_numpy(rows).to(place)[None]))
     timed = min(_TIMED, config.particles)
 

@@ -99,7 +99,7 @@ def _films(done: Sequence[Node], drawable: Collection[str]) -> list[str]:
         if node.component != "policy_training" or node.tags["dataset"] not in drawable:
             continue
         name = node.name.rpartition("/")[0]
-        takes_proximity = ALGORITHMS[node.config["algorithm"]].TAKES_LAMBDA
+        takes_proximity = ALGORITHMS[node.config["algorithm"]].takes_proximity
         # the key, since a name may be shared with other sweeps
         shown.setdefault(name, film_command(node.key, name, takes_proximity))
     return [f"To watch {name}: `{command}`" for name, command in shown.items()]

@@ -26,7 +26,6 @@ from benchmarks import (
     wsbc,
 )
 from components.algorithms import ALGORITHMS
-from components.algorithms import wsbc as wsbc_learner
 from components.core.random_streams import LaneStreams
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
@@ -199,7 +198,7 @@ def test_the_plain_loop_of_a_policy_s_return_computes_what_the_swarm_does() -> N
     settings = SWARM | {"particles": 1, "neighbourhood": 1}  # the clone alone
     learner = lanes.program("wsbc", dataset, [0], torch.device("cpu"), **settings)
     found = learner.update(0)["policy/virtual_return"]
-    policy, ensemble = (lanes.UNTRAINED[n](dataset) for n in wsbc_learner.NEEDS)
+    policy, ensemble = (lanes.UNTRAINED[n](dataset) for n in ALGORITHMS["wsbc"].needs)
     rule = DynamicsSpecification.of_card(dataset.card)
     plain = wsbc.plain_return(policy, ensemble, rule, learner._history[0], 5, 0.97)
     # 34 recurrent steps of float32 sums in another order
@@ -256,7 +255,7 @@ def test_the_clock_runs_past_the_warm_up_and_starts_with_a_draw_of_random_number
 ) -> None:
     steps: list[int] = []
     draws: list[int] = []  # steps that begin a block of random numbers
-    config = ALGORITHMS[algorithm].Config(hidden=(8,), batch=4)
+    config = ALGORITHMS[algorithm].config(hidden=(8,), batch=4)
     settings = {"hidden": config.hidden, "batch": config.batch}
     if hasattr(config, "vae_hidden"):
         settings["vae_hidden"] = (8,)
@@ -306,7 +305,7 @@ def test_the_peer_gets_our_transitions_as_whole_histories(
 
 @pytest.mark.parametrize("algorithm", peer_d3rlpy.COUNTERPARTS)
 def test_the_peer_gets_our_settings(algorithm: str) -> None:
-    config = ALGORITHMS[algorithm].Config()
+    config = ALGORITHMS[algorithm].config()
     command = model_free.peer_command(Path("python"), Path("log.npz"), algorithm, 7, threads=1)
     assert command[:2] == ["python", "-I"]
     settings = json.loads(command[4])

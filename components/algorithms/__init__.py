@@ -1,15 +1,14 @@
-"""The learners, by name. One module each, all with the same outline.
+"""The learners: one module for each method, all with the same outline; what they share in parts/.
 
-A module of an algorithm offers ``Config`` (frozen dataclass), ``Learner`` (a stack of lanes),
-``NEEDS`` (fitted models by name), ``TAKES_LAMBDA``, ``FRAME_EPSILON`` (added to feature deviations
-when frames are scaled) and ``VERSION`` (to be raised whenever a change of its code can change
-results). A learner with updates before its budget, such as BRAC's cloning, counts them in a
-property ``Config.preparation``.
+In come the logged transitions of lanes, with fitted models where a method needs them; out go
+policies, which nothing here ever tries on the real system. A module holds settings (``Config``)
+and the stack of learners (``Learner``) and ends with the record (``ALGORITHM``) by which all else
+knows the method, see :class:`components.algorithms.parts.algorithm.Algorithm`.
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType, ModuleType
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from components.algorithms import (
     bc,
@@ -28,25 +27,29 @@ from components.algorithms import (
     td3_bc,
     wsbc,
 )
+from components.algorithms.parts.algorithm import Algorithm
 
 __all__ = ["ALGORITHMS"]
 
-ALGORITHMS: Final[Mapping[str, ModuleType]] = MappingProxyType(
-    {
-        "bc": bc,
-        "ddpg": ddpg,
-        "bcq": bcq,
-        "bear": bear,
-        "brac": brac,
-        "cql": cql,
-        "td3_bc": td3_bc,
-        "lion": lion,
-        "model_based": model_based,
-        "wsbc": wsbc,
-        "moose": moose,
-        "lambda_td3_bc": lambda_td3_bc,
-        "rvs": rvs,
-        "mopo": mopo,
-        "morel": morel,
-    }
+_RECORDS: tuple[Algorithm[Any], ...] = (
+    bc.ALGORITHM,
+    ddpg.ALGORITHM,
+    bcq.ALGORITHM,
+    bear.ALGORITHM,
+    brac.ALGORITHM,
+    cql.ALGORITHM,
+    td3_bc.ALGORITHM,
+    lion.ALGORITHM,
+    model_based.ALGORITHM,
+    wsbc.ALGORITHM,
+    moose.ALGORITHM,
+    lambda_td3_bc.ALGORITHM,
+    rvs.ALGORITHM,
+    mopo.ALGORITHM,
+    morel.ALGORITHM,
 )
+
+ALGORITHMS: Final[Mapping[str, Algorithm[Any]]] = MappingProxyType(
+    {record.name: record for record in _RECORDS}
+)
+"""By name, in the order in which tables and plans show them."""

@@ -7,22 +7,20 @@ and so often does better than the operators it copies.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
+from components.algorithms.parts.ranges import check_at_least_one
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.networks import StackedMLP, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +38,7 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.batch, *self.hidden) < 1:
-            raise ValueError("updates, batch and hidden must be at least 1.")
+        check_at_least_one(self, "updates", "batch", "hidden")
         if self.learning_rate <= 0:
             raise ValueError("learning_rate must be positive.")
 
@@ -49,27 +46,48 @@ class Config:
 class Learner(StackedLearner):
     """A stack of clones, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._data = data = parts.data
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._data = data = inputs.data
         self.lanes = data.lanes
         sizes = (data.observation_width, *config.hidden, data.action_width)
-        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(data.device)
+        self._actor = StackedMLP(spawn_generators(inputs.keys, "actor"), sizes).to(data.device)
         self._networks = {"actor": self._actor}
         self._optimizers = {"actor": adam(list(self._actor.parameters()), config.learning_rate)}
-        self._streams = LaneStreams(parts.keys, {"row": data.row_draw(config.batch)}, data.device)
+        self._streams = LaneStreams(inputs.keys, {"row": data.row_draw(config.batch)}, data.device)
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations))
 
     # -- update -----------------------------------------------------------------------------
 
     def update(self, step: int) -> dict[str, Tensor]:
-        """One cloning step on all lanes."""
+        """One step towards the logged actions on all lanes."""
         index = self._streams.at(step)["row"]
-        actions = torch.tanh(self._actor(self._data.observations(index)))
+        actions = self.act(self._data.observations(index))
         error = lanewise_mean((actions - self._data.actions(index)).square())
         descend(self._optimizers["actor"], error)
-        return {"actor/cloning_error": error.detach(), "actor/saturated_share": saturation(actions)}
+        return {
+            "actor/imitation_error": error.detach(),
+            "actor/saturated_share": saturation(actions),
+        }
 
     # -- what is deployed ---------------------------------------------------------------------
 
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
         return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="bc",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(6e-6),
+    frame_epsilon=1e-3,
+)

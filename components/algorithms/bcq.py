@@ -24,17 +24,21 @@ thesis's (5.1.2).
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     adam_each,
     descend,
+    needed,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
 from components.data.batches import Batch
 from components.networks import (
@@ -47,12 +51,7 @@ from components.networks import (
 from components.networks.variational import ConditionalVAE
 from components.policies.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,14 +76,9 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.batch, self.target_actions, self.deployed_actions)
-        if min(*counts, *self.hidden, *self.vae_hidden) < 1:
-            raise ValueError(
-                "updates, batch, hidden, vae_hidden, target_actions and deployed_actions must be "
-                "at least 1."
-            )
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "hidden", "vae_hidden")
+        check_at_least_one(self, "target_actions", "deployed_actions")
+        check_bootstrapping(self.discount, self.target_rate)
         if self.learning_rate <= 0 or self.perturbation < 0 or not 0 <= self.minimum_weight <= 1:
             raise ValueError(
                 "learning_rate must be positive, perturbation not negative and minimum_weight "
@@ -95,9 +89,9 @@ class Config:
 class Learner(StackedLearner):
     """A stack of BCQ learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device, keys = parts.data, parts.data.device, parts.keys
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
         self.lanes = data.lanes
         seen, acted = data.observation_width, data.action_width
         self._vae = ConditionalVAE(keys, seen, acted, config.vae_hidden).to(device)
@@ -139,6 +133,15 @@ class Learner(StackedLearner):
     def _generate(self, observations: Tensor, noise: Tensor) -> Tensor:
         """Actions like the logged ones, ``[L, B, N, A]``."""
         return torch.tanh(self._vae.generate(observations, noise))
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        generated = self._generate(observations, needed(noise, "noise"))
+        return self._critics.favourite(
+            observations, self._perturb(self._actor, observations, generated)
+        )
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -204,3 +207,13 @@ class Learner(StackedLearner):
             "critic": self._critics.first_network(),
         }
         return Policy.of_networks(acts, networks, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="bcq",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(3.3e-4),
+    frame_epsilon=1e-3,
+)

@@ -32,19 +32,22 @@ gamma and the budget of 10,000 updates are the thesis's (5.1.2).
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     Scalars,
     StackedLearner,
     adam_each,
     descend,
+    needed,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import LaneStreams, normal_draw
 from components.data.batches import Batch
 from components.networks import (
@@ -58,19 +61,12 @@ from components.networks.variational import ConditionalVAE
 from components.policies.policy import Policy, PolicyCard
 
 __all__ = [
-    "FRAME_EPSILON",
-    "NEEDS",
-    "TAKES_LAMBDA",
-    "VERSION",
+    "ALGORITHM",
     "Config",
     "Learner",
     "mean_discrepancy",
 ]
 
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
 LOG_MULTIPLIER_RANGE = (-5.0, 10.0)
 
 
@@ -103,14 +99,9 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.batch, self.target_actions, self.deployed_actions)
-        if min(*counts, self.matched_actions, *self.hidden, *self.vae_hidden) < 1:
-            raise ValueError(
-                "updates, batch, hidden, vae_hidden, matched_actions, target_actions and "
-                "deployed_actions must be at least 1."
-            )
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "hidden", "vae_hidden")
+        check_at_least_one(self, "matched_actions", "target_actions", "deployed_actions")
+        check_bootstrapping(self.discount, self.target_rate)
         rates = (self.actor_learning_rate, self.learning_rate, self.multiplier_learning_rate)
         if min(*rates, self.sigma, self.threshold, self.raw_limit) <= 0:
             raise ValueError("learning rates, sigma, threshold and raw_limit must be positive.")
@@ -145,9 +136,9 @@ def mean_discrepancy(x: Tensor, y: Tensor, kernel: str, sigma: float) -> Tensor:
 class Learner(StackedLearner):
     """A stack of BEAR learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device, keys = parts.data, parts.data.device, parts.keys
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
         self.lanes = data.lanes
         seen, acted = data.observation_width, data.action_width
         self._vae = ConditionalVAE(keys, seen, acted, config.vae_hidden).to(device)
@@ -181,6 +172,15 @@ class Learner(StackedLearner):
             },
             device,
         )
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        candidates, _, _ = self._actor.draw(self._actor(observations), needed(noise, "noise"))
+        return self._critics.favourite(observations, candidates)
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -264,3 +264,13 @@ class Learner(StackedLearner):
             "critic": self._critics.first_network(),
         }
         return Policy.of_networks(acts, networks, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="bear",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(1.7e-4),
+    frame_epsilon=1e-3,
+)

@@ -1,7 +1,8 @@
 """BRAC-v: an actor-critic that pays for its divergence from the behaviour, in policy and value.
 
 Wu, Tucker, Nachum, "Behavior Regularized Offline Reinforcement Learning" (2019), with the KL
-divergence in its primal form. First a squashed Gaussian ``b`` clones the log and is then frozen:
+divergence in its primal form. In pretraining a squashed Gaussian ``b``, the behaviour, is fitted to
+the log; then it is frozen:
 
     b:       mean [-log b(clip(a) | s) + alpha_e log b(a~ | s)],  a~ ~ b
     alpha_e: descends alpha_e (-log b(a~ | s) + A), not below 0   (target entropy -A)
@@ -16,7 +17,7 @@ Then, per update:
 
 There is no entropy bonus and no target actor; deployed is tanh of the mean. References disagree on
 alpha and the actor's rate; taken are those of the authors' own primal example (0.1, 3e-4; the D4RL
-evaluations used 1 and 3e-5). Its phases keep their share of the budget: 300,000 cloning steps and
+evaluations used 1 and 3e-5). Its phases keep their share of the budget: 300,000 pretraining and
 20,000 warm-up steps on a run of 500,000 become 0.6 (before the budget begins) and 0.04.
 
 Deviations: the critics' targets start as copies (the authors' start as other random networks); the
@@ -27,10 +28,12 @@ gamma and the budget of 10,000 updates are the thesis's (5.1.2).
 
 import copy
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     Scalars,
@@ -39,18 +42,15 @@ from components.algorithms.parts.learner import (
     descend,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import LaneStreams, normal_draw
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.networks.gaussian import Sample, log_density, raw_actions
 from components.policies.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
 ACTION_MARGIN = 1e-3  # actions are kept this far from the bounds inside densities
 LOG_STD_RANGE = (-5.0, 0.0)
 
@@ -59,8 +59,8 @@ LOG_STD_RANGE = (-5.0, 0.0)
 class Config:
     """The authors' settings, with the thesis's discount and budget."""
 
-    updates: int = 10_000  # after cloning
-    cloning: float = 0.6  # cloning updates before them, as a share of their number
+    updates: int = 10_000  # after pretraining
+    cloning: float = 0.6  # pretraining updates of the behaviour, as a share of their number
     hidden: tuple[int, ...] = (200, 200)  # layers of actor and behaviour
     critic_hidden: tuple[int, ...] = (300, 300)
     actor_learning_rate: float = 3e-4  # Adam
@@ -79,31 +79,27 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.batch, self.divergence_actions)
-        if min(*counts, *self.hidden, *self.critic_hidden) < 1:
-            raise ValueError(
-                "updates, batch, divergence_actions, hidden and critic_hidden must be at least 1."
-            )
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "divergence_actions")
+        check_at_least_one(self, "hidden", "critic_hidden")
+        check_bootstrapping(self.discount, self.target_rate)
         if min(self.actor_learning_rate, self.learning_rate, self.cloning_learning_rate) <= 0:
             raise ValueError("learning rates must be positive.")
         if self.alpha < 0 or self.cloning < 0 or not 0 <= self.warm_up <= 1:
             raise ValueError("alpha and cloning must not be negative; warm_up lies in [0, 1].")
 
     @property
-    def preparation(self) -> int:
-        """Updates before the budget begins."""
+    def pretraining(self) -> int:
+        """Updates of the behaviour before the budget begins."""
         return round(self.cloning * self.updates)
 
 
 class Learner(StackedLearner):
     """A stack of BRAC-v learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device, keys = parts.data, parts.data.device, parts.keys
-        self.lanes = data.lanes
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
+        self.lanes, self.pretraining = data.lanes, config.pretraining
         seen, acted = data.observation_width, data.action_width
         sizes = (seen, *config.hidden, acted)
         self._behaviour = TanhGaussian(keys, "behaviour", sizes, LOG_STD_RANGE, squash=True)
@@ -133,9 +129,17 @@ class Learner(StackedLearner):
             device,
         )
 
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations)[0])
+
     # -- losses -----------------------------------------------------------------------------
 
-    def _cloning_loss(self, batch: Batch, noise: Tensor) -> tuple[Tensor, Tensor]:
+    def _behaviour_loss(self, batch: Batch, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Behaviour's loss and log density of its own actions, ``[L]`` each."""
         mean, log_std = self._behaviour(batch.observations)
         logged = log_density(mean, log_std, raw_actions(batch.actions, ACTION_MARGIN))
@@ -179,7 +183,7 @@ class Learner(StackedLearner):
 
     def branch(self, step: int) -> str:
         """What is learned: the behaviour, then critics, at last an actor that follows them."""
-        config, since = self._config, step - self._config.preparation
+        config, since = self._config, step - self.pretraining
         if since < 0:
             return "behaviour"
         return "values" if since < round(config.warm_up * config.updates) else "actor"
@@ -189,11 +193,11 @@ class Learner(StackedLearner):
         drawn = self._streams.at(step)
         batch = self._data.batch(drawn["row"])
         if self.branch(step) == "behaviour":
-            return self._clone(batch, drawn["actor"])
+            return self._pretrain(batch, drawn["actor"])
         return self._improve(batch, drawn, follows=self.branch(step) == "actor")
 
-    def _clone(self, batch: Batch, noise: Tensor) -> dict[str, Tensor]:
-        loss, own = self._cloning_loss(batch, noise[:, :, :1])
+    def _pretrain(self, batch: Batch, noise: Tensor) -> dict[str, Tensor]:
+        loss, own = self._behaviour_loss(batch, noise[:, :, :1])
         descend(self._optimizers["behaviour"], loss)
         weight = self._entropy_weight.value
         descend(
@@ -228,3 +232,13 @@ class Learner(StackedLearner):
         return Policy.of_networks(
             card, {"actor": self._actor.mean_network()}, self._data.frame_scaling
         )
+
+
+ALGORITHM: Final = Algorithm(
+    name="brac",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(6.5e-5),
+    frame_epsilon=1e-3,
+)

@@ -4,7 +4,7 @@ Kumar, Zhou, Tucker, Levine, "Conservative Q-Learning for Offline Reinforcement 
 the form of the authors' code. Per update, on one batch, with N = 10:
 
     temperature: log_alpha descends -log_alpha (log pi(a~ | s) - A)        (target entropy -A)
-    actor:   mean [alpha log pi(a~ | s) - min_j Q_j(s, a~)],  a~ ~ pi; while it still clones,
+    actor:   mean [alpha log pi(a~ | s) - min_j Q_j(s, a~)],  a~ ~ pi; in the warm-up
              mean [alpha log pi(a~ | s) - log pi(a | s)]
     y        = r + gamma (1 - terminal) min_j Q_target_j(s', a'),  a' ~ pi, no entropy term
     L_j      = w [log sum exp over actions tried at s - mean Q_j(s, a)]
@@ -17,9 +17,9 @@ the authors' code, not the paper's expression. ``lagrange=TAU`` learns a multipl
 ``L_j - TAU`` instead of taking it as 1. Deployed is tanh of the mean.
 
 Where references disagree: w = 5 without Lagrange and an actor rate of 1e-4 (the authors' README;
-the paper used 3e-5 and Lagrange), three layers of 256, cloning for 40,000 updates of a million,
-here the same share of the budget. The squared error carries no factor 1/2, so w is twice the
-paper's.
+the paper used 3e-5 and Lagrange), three layers of 256, a warm-up of 40,000 updates of a
+million, here the same share of the budget. The squared error carries no factor 1/2, so w is twice
+the paper's.
 
 Deviations: the temperature's and actor's steps come before the critics' (the authors' order cannot
 run on today's PyTorch); initial weights are PyTorch's; frames are standardised; logged actions are
@@ -30,12 +30,13 @@ bootstrapped through. gamma and the budget of 300 epochs of 1,000 updates are th
 import copy
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     Scalars,
@@ -45,18 +46,15 @@ from components.algorithms.parts.learner import (
     gather_gradients,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import LaneStreams, normal_draw
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lane_groups, lanewise_mean, polyak_update
 from components.networks.gaussian import log_density, raw_actions
 from components.policies.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
 ACTION_MARGIN = 1e-3  # logged actions are kept this far from the bounds inside densities
 LARGEST_MULTIPLIER = 1e6
 
@@ -76,7 +74,7 @@ class Config:
     variant: Literal["h", "rho"] = "h"
     lagrange: float | None = None  # gap that the learned multiplier allows; None: no multiplier
     tried_actions: int = 10  # N, of each kind
-    cloning: float = 0.04  # first share of the updates, in which the actor clones
+    cloning: float = 0.04  # warm-up: first share of the updates, the actor imitates the log
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -84,10 +82,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.batch, self.tried_actions, *self.hidden) < 1:
-            raise ValueError("updates, batch, tried_actions and hidden must be at least 1.")
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "tried_actions", "hidden")
+        check_bootstrapping(self.discount, self.target_rate)
         if min(self.actor_learning_rate, self.learning_rate) <= 0 or self.weight < 0:
             raise ValueError("learning rates must be positive and weight not negative.")
         if not 0 <= self.cloning <= 1 or self.variant not in ("h", "rho"):
@@ -97,9 +93,9 @@ class Config:
 class Learner(StackedLearner):
     """A stack of CQL learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device, keys = parts.data, parts.data.device, parts.keys
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
         self.lanes = data.lanes
         seen, acted = data.observation_width, data.action_width
         self._actor = TanhGaussian(keys, "actor", (seen, *config.hidden, acted)).to(device)
@@ -138,6 +134,14 @@ class Learner(StackedLearner):
             },
             device,
         )
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations)[0])
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -201,7 +205,7 @@ class Learner(StackedLearner):
     # -- update -----------------------------------------------------------------------------
 
     def branch(self, step: int) -> bool:
-        """Whether the actor still clones the log."""
+        """Whether this is the warm-up, in which the actor imitates the log."""
         return step < round(self._config.cloning * self._config.updates)
 
     def update(self, step: int) -> dict[str, Tensor]:
@@ -248,3 +252,13 @@ class Learner(StackedLearner):
         return Policy.of_networks(
             card, {"actor": self._actor.mean_network()}, self._data.frame_scaling
         )
+
+
+ALGORITHM: Final = Algorithm(
+    name="cql",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(5.8e-4),
+    frame_epsilon=1e-3,
+)

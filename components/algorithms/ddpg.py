@@ -24,10 +24,12 @@ budget of 10,000 updates are the thesis's (5.1.2).
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
@@ -35,25 +37,18 @@ from components.algorithms.parts.learner import (
     descend,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
 
 __all__ = [
-    "FRAME_EPSILON",
-    "NEEDS",
-    "TAKES_LAMBDA",
-    "VERSION",
+    "ALGORITHM",
     "ActorCritic",
     "Config",
     "Learner",
 ]
-
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,10 +68,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.batch, *self.hidden) < 1:
-            raise ValueError("updates, batch and hidden must be at least 1.")
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "hidden")
+        check_bootstrapping(self.discount, self.target_rate)
         if self.learning_rate <= 0:
             raise ValueError("learning_rate must be positive.")
 
@@ -121,6 +114,14 @@ class ActorCritic(StackedLearner):
         """The networks whose tanh acts."""
         return self._actor
 
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations))
+
     # -- losses -----------------------------------------------------------------------------
 
     @torch.no_grad()
@@ -137,7 +138,7 @@ class ActorCritic(StackedLearner):
         targets = self._targets(batch)
         critic_loss = self._critic.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critic"], critic_loss)
-        actions = torch.tanh(self._actor(batch.observations))
+        actions = self.act(batch.observations)
         values = self._critic.first(batch.observations, actions)
         actor_loss = -lanewise_mean(values)
         descend(self._optimizers["actor"], actor_loss)
@@ -155,11 +156,13 @@ class ActorCritic(StackedLearner):
 class Learner(ActorCritic):
     """A stack of DDPG learners on logged data, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._data = data = parts.data
-        super().__init__(config, parts.keys, data.observation_width, data.action_width, data.device)
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._data = data = inputs.data
+        super().__init__(
+            config, inputs.keys, data.observation_width, data.action_width, data.device
+        )
         draws = {"row": data.row_draw(config.batch)}
-        self._streams = LaneStreams(parts.keys, draws, data.device)
+        self._streams = LaneStreams(inputs.keys, draws, data.device)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on a batch of logged transitions."""
@@ -170,3 +173,13 @@ class Learner(ActorCritic):
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
         return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="ddpg",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(2.2e-5),
+    frame_epsilon=1e-3,
+)

@@ -1,4 +1,4 @@
-"""lambda-TD3+BC: TD3+BC whose trade-off between value and cloning is an input at run time.
+"""lambda-TD3+BC: TD3+BC whose trade-off between value and imitation is an input at run time.
 
 The model-free comparison of thesis 6.5 (equation 6.9) and of Swazinna, Udluft, Runkler,
 "User-Interactive Offline Reinforcement Learning" (2022). Actor and critics are given the proximity
@@ -16,23 +16,20 @@ networks standardised, as in LION.
 """
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import torch
 from torch import Tensor
 
 from components.algorithms import td3_bc
-from components.algorithms.parts.learner import LearnerInputs
+from components.algorithms.parts.algorithm import Algorithm
+from components.algorithms.parts.learner import LearnerInputs, needed
 from components.core.random_streams import Draw
 from components.data.batches import Batch
 from components.networks import lanewise_mean
 from components.policies.policy import PROXIMITY_SCALING
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = True
-FRAME_EPSILON = td3_bc.FRAME_EPSILON
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +54,9 @@ class Learner(td3_bc.Learner):
 
     _further_inputs = 1
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        super().__init__(config, parts)
-        self._proximity_scaling = PROXIMITY_SCALING.to(parts.data.device)
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        super().__init__(config, inputs)
+        self._proximity_scaling = PROXIMITY_SCALING.to(inputs.data.device)
 
     def _draws(self) -> dict[str, Draw]:
         shape = self._config.batch
@@ -75,9 +72,11 @@ class Learner(td3_bc.Learner):
         scaled = self._proximity_scaling.apply(proximity[..., None])
         return torch.cat([observations, scaled], dim=-1)
 
-    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
-        """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
-        return torch.tanh(self._actor(self._with_proximity(observations, proximity)))
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return super().act(self._with_proximity(observations, needed(proximity, "proximity")))
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -92,3 +91,14 @@ class Learner(td3_bc.Learner):
     def _weigh(self, batch: Batch, gain: Tensor, distance: Tensor) -> Tensor:
         proximity = self._proximity_scaling.invert(batch.observations[..., -1:]).squeeze(-1)
         return lanewise_mean((1.0 - proximity) * distance - proximity * gain)
+
+
+ALGORITHM: Final = Algorithm(
+    name="lambda_td3_bc",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=td3_bc.ALGORITHM.cost,
+    takes_proximity=True,
+    frame_epsilon=td3_bc.ALGORITHM.frame_epsilon,
+)

@@ -13,16 +13,19 @@ trajectories of a learned transition ensemble. Per update and lane:
 Known deviations from the text, following the authors' code where it differs: start states come from
 the first ``start_window`` steps of each trajectory; rewards are scaled by the mean discounted
 window return of the dataset; the penalty is divided by the horizon; lambda enters the network
-standardised. The cloning batch is drawn from the whole dataset (the authors' code reaches only its
-first part).
+standardised. The logged actions are drawn from the whole dataset (the authors' code reaches only
+its first part).
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend
+from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, needed
+from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.algorithms.parts.virtual_returns import VirtualReturns
 from components.core.random_streams import Draw, LaneStreams, spawn_generators
 from components.models.transition.model_environment import discounted_sum
@@ -31,12 +34,7 @@ from components.policies.deployment import KINDS
 from components.policies.policy import PROXIMITY_SCALING, Policy, PolicyCard
 from components.training.loop import adam
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 3
-NEEDS = ("behaviour_policy", "recurrent_ensemble")
-TAKES_LAMBDA = True
-FRAME_EPSILON = 0.0
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +44,13 @@ class Config:
     updates: int = 1000
     hidden: tuple[int, ...] = (256, 256)  # policy layers
     learning_rate: float = 3e-4  # Adam
-    trajectories: int = 200  # B, virtual trajectories per update; also the cloning batch
+    trajectories: int = 200  # B, virtual trajectories per update; also logged actions
     horizon: int = 100  # H, steps of a virtual trajectory
     discount: float = 0.97  # gamma
     beta: float = 0.1  # both parameters of lambda's Beta distribution
-    eta: float = 0.1  # weight of the cloning term at lambda = 0
-    start_window: int = 30  # start states: the first so many steps of every trajectory
-    start_after: int = 0  # but not the first so many of them, whose past is not all recorded
+    eta: float = 0.1  # weight of the distance to logged actions at lambda = 0
+    start_window: int = 30  # start states are steps start_after ... start_window - 1 of each
+    start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -60,36 +58,29 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.trajectories, self.horizon, self.start_window, *self.hidden)
-        if min(counts) < 1:
-            raise ValueError(
-                "updates, hidden, trajectories, horizon and start_window must be at least 1."
-            )
-        if not 0 <= self.start_after < self.start_window:
-            raise ValueError("start_after must not be negative and lie below start_window.")
+        check_at_least_one(self, "updates", "hidden", "trajectories", "horizon", "start_window")
+        check_virtual_starts(self.discount, self.start_window, self.start_after)
         if self.learning_rate <= 0 or self.beta <= 0 or self.eta < 0:
             raise ValueError("learning_rate and beta must be positive and eta not negative.")
-        if not 0 < self.discount <= 1:
-            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
 
 
 class Learner(StackedLearner):
     """A stack of LION policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device = parts.data, parts.data.device
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
-        clones = parts.fitted("behaviour_policy", Policy)
+        clones = inputs.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
-        self._returns = VirtualReturns(parts, config.horizon, config.discount)
+        self._returns = VirtualReturns(inputs, config.horizon, config.discount)
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
-        self._network = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
+        self._network = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)
         self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
         self._networks = {"policy": self._network}
         self._optimizers = {"policy": self._optimizer}
         self._proximity_scaling = PROXIMITY_SCALING.to(device)
-        self._streams = LaneStreams(parts.keys, self._draws(), device)
+        self._streams = LaneStreams(inputs.keys, self._draws(), device)
 
     def _draws(self) -> dict[str, Draw]:
         batch, beta = self._config.trajectories, self._config.beta
@@ -103,9 +94,11 @@ class Learner(StackedLearner):
 
     # -- networks ---------------------------------------------------------------------------
 
-    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
-        """Actions ``[L, B, A]`` of the policies for ``proximity [L, B]``."""
-        scaled = self._proximity_scaling.apply(proximity[..., None])
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        scaled = self._proximity_scaling.apply(needed(proximity, "proximity")[..., None])
         return torch.tanh(self._network(torch.cat([observations, scaled], dim=-1)))
 
     def _behaviour_act(self, observations: Tensor) -> Tensor:
@@ -119,7 +112,7 @@ class Learner(StackedLearner):
         penalties = []
 
         def act(observations: Tensor) -> Tensor:
-            actions = self._act(observations, proximity)
+            actions = self.act(observations, proximity)
             difference = actions - self._behaviour_act(observations)
             penalties.append(difference.square().mean(dim=-1))
             return actions
@@ -128,10 +121,10 @@ class Learner(StackedLearner):
         penalty = discounted_sum(penalties, self._config.discount) / self._config.horizon
         return returns, penalty
 
-    def _cloning_loss(self, index: Tensor) -> Tensor:
-        """Squared distance to logged actions at lambda = 0, ``[L]``."""
+    def _imitation_loss(self, index: Tensor) -> Tensor:
+        """Mean squared distance to logged actions at lambda = 0, summed over entries, ``[L]``."""
         observations = self._data.observations(index)
-        actions = self._act(observations, torch.zeros_like(observations[..., 0]))
+        actions = self.act(observations, torch.zeros_like(observations[..., 0]))
         return lanewise_mean((actions - self._data.actions(index)).square().sum(dim=-1))
 
     # -- update -----------------------------------------------------------------------------
@@ -141,15 +134,15 @@ class Learner(StackedLearner):
         drawn = self._streams.at(step)
         proximity = drawn["proximity"]
         returns, penalty = self._virtual_losses(drawn["start"], proximity)
-        cloning = self._cloning_loss(drawn["clone"])
+        imitation = self._imitation_loss(drawn["clone"])
         mixed = -proximity * returns + (1.0 - proximity) * penalty
-        loss = lanewise_mean(mixed) + self._config.eta * cloning
+        loss = lanewise_mean(mixed) + self._config.eta * imitation
         descend(self._optimizer, loss)
         return {
             "policy/loss": loss.detach(),
             "policy/virtual_return": lanewise_mean((returns * self._returns.scale).detach()),
             "policy/penalty": lanewise_mean(penalty.detach()),
-            "policy/cloning_loss": cloning.detach(),
+            "policy/imitation_error": imitation.detach() / self._data.action_width,
         }
 
     # -- what is deployed ------------------------------------------------------------------------
@@ -157,3 +150,14 @@ class Learner(StackedLearner):
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
         return Policy.of_networks(card, {"actor": self._network.affine()}, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="lion",
+    config=Config,
+    learner=Learner,
+    version=3,
+    cost=per_virtual_step(1.4e-5),
+    needs=("behaviour_policy", "recurrent_ensemble"),
+    takes_proximity=True,
+)

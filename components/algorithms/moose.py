@@ -31,12 +31,14 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     gather_gradients,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one
 from components.core.normaliser import Normaliser
 from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
 from components.models.action_vae import ActionReconstruction, ActionVAE
@@ -46,12 +48,8 @@ from components.networks import StackedMLP, lane_groups, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner", "mixed_return"]
+__all__ = ["ALGORITHM", "Config", "Learner", "mixed_return"]
 
-VERSION = 1
-NEEDS = ("action_vae", "deterministic_ensemble")
-TAKES_LAMBDA = False
-FRAME_EPSILON = 0.0
 LANES_AT_ONCE = {"cpu": 1, "cuda": 16}  # trajectories keep 0.6 GiB a lane for the gradient
 DRAWN_AT_ONCE = 5  # updates; every one needs a normal number per virtual step and latent
 
@@ -80,8 +78,7 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.trajectories, self.horizon, *self.hidden) < 1:
-            raise ValueError("updates, hidden, trajectories and horizon must be at least 1.")
+        check_at_least_one(self, "updates", "hidden", "trajectories", "horizon")
         if self.learning_rate <= 0 or not all(
             0 < d <= 1 for d in (self.discount, self.penalty_discount)
         ):
@@ -108,37 +105,37 @@ class _Part:
 
     lanes: slice
     actor: StackedMLP
-    machine: ModelEnvironment
+    environment: ModelEnvironment
     reconstruct: ActionReconstruction
 
 
 class Learner(StackedLearner):
     """A stack of MOOSE policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device = parts.data, parts.data.device
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
         sizes = (data.observation_width, *config.hidden, data.action_width)
-        self._actor = StackedMLP(spawn_generators(parts.keys, "policy"), sizes).to(device)
+        self._actor = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)
         self._networks = {"policy": self._actor}
         learned = list(self._actor.parameters())
         self._optimizers = {"policy": OPTIMIZERS[config.optimizer](learned, config.learning_rate)}
-        ensembles = parts.fitted("deterministic_ensemble", MLPEnsemble)
-        autoencoders = parts.fitted("action_vae", ActionVAE)
+        ensembles = inputs.fitted("deterministic_ensemble", MLPEnsemble)
+        autoencoders = inputs.fitted("action_vae", ActionVAE)
         at_once = LANES_AT_ONCE.get(device.type, 1)
         self._parts = []
         for lanes, actor in lane_groups(self._actor, self.lanes, -(-self.lanes // at_once)):
             seen = data.frame_scaling
             scaling = Normaliser(seen.mean[lanes], seen.scale[lanes])
             model = MLPTransition(ensembles[lanes], scaling, device)
-            machine = ModelEnvironment(model, parts.machine, scaling, device)
+            environment = ModelEnvironment(model, inputs.dynamics, scaling, device)
             reconstruct = ActionReconstruction(autoencoders[lanes], scaling, device)
-            self._parts.append(_Part(lanes, actor, machine, reconstruct))
+            self._parts.append(_Part(lanes, actor, environment, reconstruct))
         acting = ensembles[0].members * config.trajectories
         latent = self._parts[0].reconstruct.latent
         self._streams = LaneStreams(
-            parts.keys,
+            inputs.keys,
             {
                 "start": data.row_draw(config.trajectories),
                 "latent": normal_draw(config.horizon, acting, latent),
@@ -146,6 +143,14 @@ class Learner(StackedLearner):
             device,
             block=DRAWN_AT_ONCE,
         )
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations))
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -158,7 +163,7 @@ class Learner(StackedLearner):
             part: Some lanes.
             history: Their start states ``[L, B, H, F]``, raw.
             latent: Standard normal ``[L, T, K * B, Z]``.
-            recorded: The start states as machine frames ``[L, B, G, M]``, if these are others.
+            recorded: The start states as model frames ``[L, B, G, M]``, if these are others.
 
         Returns:
             Discounted returns and penalties of every member's trajectories, ``[L, K, B]``
@@ -174,7 +179,7 @@ class Learner(StackedLearner):
             saturated.append(saturation(actions))
             return actions
 
-        steps = part.machine.unroll(
+        steps = part.environment.unroll(
             history, act, self._config.horizon, "isolated", recorded=recorded
         )
         returns = discounted_sum([step.rewards for step in steps], self._config.discount)
@@ -206,7 +211,7 @@ class Learner(StackedLearner):
     def update(self, step: int) -> dict[str, Tensor]:
         """One policy update on all lanes, part by part: together they would fill the memory."""
         drawn = self._streams.at(step)
-        memory = self._parts[0].machine.model.memory
+        memory = self._parts[0].environment.model.memory
         history, recorded = self._data.recorded(drawn["start"], memory)
         given = (history, drawn["latent"], recorded)
         found = []
@@ -224,3 +229,13 @@ class Learner(StackedLearner):
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
         return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="moose",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_virtual_step(2.7e-4),
+    needs=("action_vae", "deterministic_ensemble"),
+)

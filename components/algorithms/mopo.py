@@ -11,8 +11,8 @@ the current policies are rolled out from recorded states drawn uniformly from th
     stored reward = r(s') - lambda u
 
 A trajectory ends where the next state has fallen, by the authors' hand-written function of each
-task: it is read off the dataset's card, ``machine["healthy"]``, ranges of frame features that only
-this algorithm looks at. A card without one tells of a machine that never falls.
+task, which here is read off the dataset's card, see :mod:`~components.algorithms.parts.falls`; only
+this algorithm looks there.
 
 The ring keeps the last ``retained_rollouts`` roll-outs. An update is one step of
 :mod:`~components.algorithms.parts.soft_actor_critic` on a batch of which a share ``real_ratio`` was
@@ -33,17 +33,21 @@ Deviations: initial weights are PyTorch's; frames are standardised. gamma and th
 1,000 updates are the thesis's; it does not say how long its roll-outs were.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
+from components.algorithms.parts.falls import healthy_ranges, steps_before_fall
 from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.model_buffer import ModelBuffer
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.algorithms.parts.soft_actor_critic import SoftActorCritic
 from components.core.random_streams import LaneStreams, normal_draw
-from components.data.batches import Batch, LaneData
+from components.data.batches import Batch
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import (
     ModelEnvironment,
@@ -52,12 +56,8 @@ from components.models.transition.model_environment import (
     RolloutStep,
 )
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
-VERSION = 1
-NEEDS = ("gaussian_ensemble",)
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
 CHUNK = 500  # trajectories rolled out at once; part of the random streams' identity
 PERCENTILES = (50, 90, 99)  # of the uncertainty, for choosing the penalty
 
@@ -86,12 +86,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.rollout_every, self.rollouts, self.rollout_length, self.retained_rollouts)
-        if min(self.updates, self.batch, *counts, *self.hidden) < 1:
-            raise ValueError(
-                "updates, rollout_every, rollouts, rollout_length, retained_rollouts, batch and "
-                "hidden must be at least 1."
-            )
+        check_at_least_one(self, "updates", "batch", "hidden", "rollout_every")
+        check_at_least_one(self, "rollouts", "rollout_length", "retained_rollouts")
         if self.penalty < 0 or self.prediction_range not in ("data", "free"):
             raise ValueError("penalty must not be negative and prediction_range be data or free.")
         if self.real_ratio < 0 or self.logged >= self.batch:
@@ -99,8 +95,7 @@ class Config:
                 f"real_ratio must lie in [0, 1) and leave virtual transitions in a batch of "
                 f"{self.batch}, got {self.real_ratio}."
             )
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_bootstrapping(self.discount, self.target_rate)
         if self.learning_rate <= 0:
             raise ValueError("learning_rate must be positive.")
 
@@ -113,9 +108,9 @@ class Config:
 class Learner(SoftActorCritic):
     """A stack of MOPO learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config = config
-        data, device, keys = parts.data, parts.data.device, parts.keys
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
         super().__init__(
             data,
             keys,
@@ -124,10 +119,10 @@ class Learner(SoftActorCritic):
             discount=config.discount,
             target_rate=config.target_rate,
         )
-        ensembles = parts.fitted("gaussian_ensemble", MLPEnsemble)
+        ensembles = inputs.fitted("gaussian_ensemble", MLPEnsemble)
         self._model = MLPTransition(ensembles, data.frame_scaling, device)
-        self._machine = ModelEnvironment(
-            self._model, parts.machine, data.frame_scaling, device, config.prediction_range
+        self._environment = ModelEnvironment(
+            self._model, inputs.dynamics, data.frame_scaling, device, config.prediction_range
         )
         self._healthy = healthy_ranges(data)
         capacity = config.retained_rollouts * config.rollouts
@@ -173,7 +168,7 @@ class Learner(SoftActorCritic):
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
         history, recorded = self._data.recorded(drawn["start"], self._model.memory)
-        return self._machine.unroll(
+        return self._environment.unroll(
             history,
             act,
             self._config.rollout_length,
@@ -201,13 +196,14 @@ class Learner(SoftActorCritic):
             drawn = {name: numbers[:, :wanted] for name, numbers in drawn.items()}
             steps = list(self._unroll(drawn))
             doubts = [uncertainty(step.prediction) for step in steps]
+            frames = [step.frames for step in steps]
             self._buffer.write(
                 place + n * self._chunk,
                 drawn["start"],
-                [step.frames for step in steps],
+                frames,
                 [step.actions for step in steps],
                 [s.rewards - config.penalty * u for s, u in zip(steps, doubts, strict=True)],
-                self._ended(steps),
+                None if self._healthy is None else steps_before_fall(frames, self._healthy),
             )
             seen += [
                 torch.stack([doubt, step.rewards, self._outside(step)], dim=1)
@@ -219,15 +215,6 @@ class Learner(SoftActorCritic):
             "model/virtual_reward": reward.mean(dim=1),
             "model/outside_share": outside.mean(dim=1),
         } | {f"model/penalty_{percent}": percentile(doubt, percent) for percent in PERCENTILES}
-
-    def _ended(self, steps: Sequence[RolloutStep]) -> Tensor | None:
-        """First step of trajectories after which they have fallen, or T: ``[L, N]``."""
-        if self._healthy is None:
-            return None
-        low, high = self._healthy
-        frames = torch.stack([step.frames for step in steps])  # [T, L, N, F]
-        stands = ((low < frames) & (frames < high)).all(dim=-1)
-        return stands.long().cumprod(dim=0).sum(dim=0)
 
     def _outside(self, step: RolloutStep) -> Tensor:
         """1 where a frame was drawn outside the range of the training data, else 0: ``[L, B]``."""
@@ -269,34 +256,6 @@ class Learner(SoftActorCritic):
         return metrics | self.improve(self._batch(drawn, step), drawn["next"], drawn["actor"])
 
 
-def healthy_ranges(data: LaneData) -> tuple[Tensor, Tensor] | None:
-    """Limits ``[L, 1, F]`` of scaled frames between which a machine stands; None if none falls.
-
-    A card names frame features with their least and largest value; null is no limit.
-
-    Raises:
-        ValueError: If it names anything else.
-    """
-    limits = torch.empty(2, data.lanes, data.frame_width)
-    limits[0], limits[1] = -torch.inf, torch.inf
-    for lane, dataset in enumerate(data.datasets):
-        card = dataset.card
-        for name, ends in card.machine.get("healthy", {}).items():
-            if name not in card.frame_features:
-                raise ValueError(
-                    f"The card of {card.name} has a healthy range of {name!r}, which is no feature "
-                    f"of its frames {card.frame_features}."
-                )
-            for side, end in enumerate(ends):
-                if end is not None:
-                    limits[side, lane, card.frame_features.index(name)] = end
-    if not limits.isfinite().any():
-        return None
-    scaling = data.frame_scaling
-    low, high = scaling.apply(limits.to(data.device))[:, :, None]
-    return low, high
-
-
 def uncertainty(prediction: Prediction) -> Tensor:
     """Largest norm of predicted deviations among all members, in standardised units: ``[L, B]``.
 
@@ -313,3 +272,20 @@ def percentile(values: Tensor, percent: int) -> Tensor:
     """Of ``values [L, N]``: the least one that so many percent do not exceed, ``[L]``."""
     rank = -(-percent * values.shape[1] // 100)
     return values.kthvalue(rank, dim=1).values
+
+
+def _cost(config: Config) -> float:
+    rounds = -(-config.updates // config.rollout_every)
+    virtual = 3.5e-5 * float(rounds * config.rollouts * config.rollout_length)
+    return per_transition(5.6e-5)(config) + virtual
+
+
+ALGORITHM: Final = Algorithm(
+    name="mopo",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=_cost,
+    needs=("gaussian_ensemble",),
+    frame_epsilon=1e-3,
+)

@@ -1,7 +1,7 @@
-"""MOReL: natural policy gradients in a pessimistic machine that ends where the models disagree.
+"""MOReL: natural policy gradients in a model environment that halts where its models disagree.
 
 Kidambi et al., "MOReL: Model-Based Offline Reinforcement Learning" (2020); thesis equation 2.50.
-The policy, an unsquashed Gaussian, first clones the log; then, per update and lane:
+The policy, an unsquashed Gaussian, is pretrained on the logged actions; then, per update and lane:
 
     roll 50 trajectories of H steps out through each of the K residual members, with drawn actions
     disc(s, a) = max_ij ||f_i(s, a) - f_j(s, a)||;  unknown where above mean + beta std of the log's
@@ -34,29 +34,27 @@ part of the live samples: with 5,000 of 20,000 the true divergence was 1.0 to 1.
 with all, for a third less time. Time enters the baseline as a share of H, targets as multiples of
 the log's mean return, and a trajectory's end is bootstrapped from the state after its last step
 (from the last one). Baseline batches hold live samples only, repeated where few live; trajectories
-shorter than five steps count. Cloning takes a fixed number of updates, 5 epochs of 100,000
+shorter than five steps count. Pretraining takes a fixed number of updates, 5 epochs of 100,000
 transitions. The authors keep the policy of the best real evaluation; nothing is evaluated here.
 """
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.algorithms.parts.advantages import (
-    Baseline,
-    discounted_returns,
-    generalised_advantages,
-    whitened,
-)
+from components.algorithms.parts.advantages import Baseline, discounted_returns
+from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
+from components.algorithms.parts.halting import Rollouts, by_sample, live_samples
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     descend,
-    first_rows,
     saturation,
+    start_rows,
 )
 from components.algorithms.parts.natural_gradient import (
     LOG_STD_RANGE,
@@ -65,13 +63,8 @@ from components.algorithms.parts.natural_gradient import (
     natural_step,
     policy_gradient,
 )
-from components.algorithms.parts.pessimistic_mdp import (
-    Detector,
-    Halted,
-    PessimisticMDP,
-    Trajectories,
-    live_samples,
-)
+from components.algorithms.parts.pessimistic_mdp import Detector, PessimisticMDP
+from components.algorithms.parts.ranges import check_at_least_one
 from components.core.random_streams import Draw, LaneStreams, normal_draw
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment
@@ -79,12 +72,8 @@ from components.networks import lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
-VERSION = 1
-NEEDS = ("residual_ensemble",)
-TAKES_LAMBDA = False
-FRAME_EPSILON = 0.0
 WEIGHT_DECAY = 1e-3  # of the baseline
 PORTION = 2000  # samples a lane at once in the policy gradient, which limits the memory
 
@@ -93,12 +82,12 @@ PORTION = 2000  # samples a lane at once in the policy gradient, which limits th
 class Config:
     """The authors' settings, with the thesis's discount and the evaluation's horizon."""
 
-    updates: int = 500  # natural gradient steps, after cloning
-    cloning: int = 1950  # cloning updates before them
+    updates: int = 500  # natural gradient steps, after pretraining
+    cloning: int = 1950  # pretraining updates, towards the logged actions
     hidden: tuple[int, ...] = (64, 64)  # policy layers
     value_hidden: tuple[int, ...] = (128, 128)  # baseline layers
-    learning_rate: float = 1e-3  # Adam, cloning and baseline
-    batch: int = 256  # of cloning and baseline
+    learning_rate: float = 1e-3  # Adam, pretraining and baseline
+    batch: int = 256  # of pretraining and baseline
     trajectories: int = 50  # virtual ones per member and update
     horizon: int = 100  # H, steps of a virtual trajectory
     discount: float = 0.97  # gamma
@@ -117,12 +106,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.batch, self.trajectories, self.horizon, self.iterations)
-        if min(*counts, self.fisher_samples, *self.hidden, *self.value_hidden) < 1:
-            raise ValueError(
-                "updates, batch, trajectories, horizon, iterations, fisher_samples, hidden and "
-                "value_hidden must be at least 1."
-            )
+        check_at_least_one(self, "updates", "batch", "trajectories", "horizon")
+        check_at_least_one(self, "iterations", "fisher_samples", "hidden", "value_hidden")
         if not 0 < self.discount < 1 or not 0 <= self.trace <= 1:
             raise ValueError("discount must lie in (0, 1) and trace in [0, 1].")
         if min(self.learning_rate, self.step_size, self.damping) <= 0:
@@ -133,46 +118,29 @@ class Config:
         if not low <= self.initial_log_std <= high:
             raise ValueError(f"initial_log_std must lie in [{low:g}, {high:g}].")
 
-    @property
-    def preparation(self) -> int:
-        """Updates before the budget begins."""
-        return self.cloning
-
-
-@dataclass(frozen=True)
-class _Rollouts:
-    """One update's trajectories; sample ``t * B + b`` is trajectory b's step t."""
-
-    states: Trajectories
-    noise: Tensor  # [L, T * B, A] behind the actions
-    values: Tensor  # [T + 1, L, B] of the baseline
-    ended: Halted
-    returns: Tensor  # [T, L, B]
-    saturated: Tensor  # [L]
-
 
 class Learner(StackedLearner):
     """A stack of MOReL learners, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device, keys = parts.data, parts.data.device, parts.keys
-        self.lanes = data.lanes
-        ensembles = parts.fitted("residual_ensemble", MLPEnsemble)
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device, keys = inputs.data, inputs.data.device, inputs.keys
+        self.lanes, self.pretraining = data.lanes, config.cloning
+        ensembles = inputs.fitted("residual_ensemble", MLPEnsemble)
         model = MLPTransition(ensembles, data.frame_scaling, device)
-        machine = ModelEnvironment(model, parts.machine, data.frame_scaling, device)
-        self._detector = Detector(machine, data, config.beta).to(device)
+        environment = ModelEnvironment(model, inputs.dynamics, data.frame_scaling, device)
+        self._detector = Detector(environment, data, config.beta).to(device)
         followed = torch.arange(model.members, device=device).repeat_interleave(config.trajectories)
         self._batch = len(followed)  # B
         least = [float(dataset.rewards.min()) for dataset in data.datasets]
-        self._machine = PessimisticMDP(
-            machine,
+        self._mdp = PessimisticMDP(
+            environment,
             self._detector,
             followed.expand(config.horizon, self.lanes, -1),
             torch.tensor(least, device=device) - config.halt_offset,
             config.discount,
         )
-        usual = torch.tensor(parts.mean_window_returns, device=device).abs()
+        usual = torch.tensor(inputs.mean_window_returns, device=device).abs()
         seen, acted, rate = data.observation_width, data.action_width, config.learning_rate
         sizes = (seen, *config.hidden, acted)
         self._actor = GaussianPolicy(keys, sizes, config.initial_log_std).to(device)
@@ -182,13 +150,13 @@ class Learner(StackedLearner):
             "actor": adam(list(self._actor.stack.parameters()), rate),
             "critic": adam(list(self._critic.parameters()), rate, WEIGHT_DECAY),
         }
-        self._clones = LaneStreams(keys, {"row": data.row_draw(config.batch)}, device)
+        self._pretraining_streams = LaneStreams(keys, {"row": data.row_draw(config.batch)}, device)
         # An update draws so much that more than one of them at a time would fill the memory.
         self._streams = LaneStreams(keys, self._draws(), device, block=1)
 
     def _draws(self) -> dict[str, Draw]:
         batch, horizon, data = self._batch, self._config.horizon, self._data
-        begins = [first_rows(dataset, 1) for dataset in data.datasets]
+        begins = [start_rows(dataset, 1) for dataset in data.datasets]
         anywhere = data.row_draw(batch)
 
         def start(g: np.random.Generator, lane: int, steps: int) -> npt.NDArray[np.int64]:
@@ -204,15 +172,17 @@ class Learner(StackedLearner):
 
     # -- networks ---------------------------------------------------------------------------
 
-    def _act(self, observations: Tensor) -> Tensor:
-        """Deployed actions ``[L, B, A]``."""
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
         mean: Tensor = self._actor(observations)
         return mean.clamp(-1.0, 1.0)
 
     # -- virtual trajectories -----------------------------------------------------------------
 
     @torch.no_grad()
-    def _roll_out(self, start: Tensor, noise: Tensor) -> _Rollouts:
+    def _roll_out(self, start: Tensor, noise: Tensor) -> Rollouts:
         """Trajectories from logged states ``start [L, B]`` with ``noise [L, T, B, A]``."""
         config, begin = self._config, self._data.observations(start)
         draws, saturated = iter(noise.unbind(dim=1)), []
@@ -222,14 +192,14 @@ class Learner(StackedLearner):
             saturated.append(saturation(actions))
             return actions
 
-        past = self._data.recorded(start, self._machine.memory)
-        states, ended = self._machine.roll_out(begin, *past, act)
+        past = self._data.recorded(start, self._mdp.memory)
+        states, ended = self._mdp.roll_out(begin, *past, act)
         every = torch.arange((config.horizon + 1) * self._batch, device=start.device)
         values = [
             self._critic(states.observations(rows), rows // self._batch)
             for rows in every.expand(self.lanes, -1).split(self._batch, dim=1)
         ]
-        return _Rollouts(
+        return Rollouts(
             states,
             noise.flatten(1, 2),
             torch.stack(values),
@@ -240,18 +210,10 @@ class Learner(StackedLearner):
 
     # -- policy and baseline --------------------------------------------------------------------
 
-    def _weights(self, rolled: _Rollouts) -> Tensor:
-        """What every sample's log density counts in the objective, ``[L, T * B]``."""
-        config, ended = self._config, rolled.ended
-        estimates = generalised_advantages(
-            ended.rewards, rolled.values, ended.continues, config.discount, config.trace
-        )
-        alive = _by_sample(ended.alive)
-        return whitened(_by_sample(estimates), alive) / alive.sum(dim=1, keepdim=True)
-
-    def _climb(self, rolled: _Rollouts, live: Tensor) -> None:
+    def _climb(self, rolled: Rollouts, live: Tensor) -> None:
         """One natural gradient step of all policies."""
-        config, states, weights = self._config, rolled.states, self._weights(rolled)
+        config, states = self._config, rolled.states
+        weights = rolled.weights(config.discount, config.trace)
         every = torch.arange(weights.shape[1], device=weights.device).expand(self.lanes, -1)
         portions = zip(
             every.split(PORTION, dim=1),
@@ -272,9 +234,9 @@ class Learner(StackedLearner):
         )
         self._actor.advance(step)
 
-    def _fit_baseline(self, rolled: _Rollouts, live: Tensor) -> Tensor:
+    def _fit_baseline(self, rolled: Rollouts, live: Tensor) -> Tensor:
         """One epoch on the returns; the mean loss ``[L]``."""
-        returns, losses = _by_sample(rolled.returns), []
+        returns, losses = by_sample(rolled.returns), []
         for rows in live.split(self._config.batch, dim=1):
             seen = rolled.states.observations(rows)
             loss = self._critic.loss(seen, rows // self._batch, returns.gather(1, rows))
@@ -288,13 +250,13 @@ class Learner(StackedLearner):
         """No two updates are alike: how many samples live on is part of their shape."""
 
     def update(self, step: int) -> dict[str, Tensor]:
-        """One update on all lanes: of the clone at first, then a natural gradient step."""
-        if step < self._config.preparation:
-            return self._clone(self._clones.at(step)["row"])
-        drawn = self._streams.at(step - self._config.preparation)
+        """One update on all lanes: of pretraining at first, then a natural gradient step."""
+        if step < self.pretraining:
+            return self._pretrain(self._pretraining_streams.at(step)["row"])
+        drawn = self._streams.at(step - self.pretraining)
         rolled = self._roll_out(drawn["start"], drawn["noise"])
         ended, halted = rolled.ended, rolled.ended.halts.any(dim=0).float()
-        live = live_samples(_by_sample(ended.alive), drawn["order"])
+        live = live_samples(by_sample(ended.alive), drawn["order"])
         self._climb(rolled, live)
         return {
             "actor/virtual_return": lanewise_mean(rolled.returns[0]),
@@ -308,11 +270,11 @@ class Learner(StackedLearner):
             "detector/known_share": self._detector.known_share.clone(),
         }
 
-    def _clone(self, rows: Tensor) -> dict[str, Tensor]:
+    def _pretrain(self, rows: Tensor) -> dict[str, Tensor]:
         means = self._actor(self._data.observations(rows))
         loss = lanewise_mean((means - self._data.actions(rows)).square())
         descend(self._optimizers["actor"], loss)
-        return {"actor/cloning_loss": loss.detach()}
+        return {"actor/imitation_error": loss.detach()}
 
     # -- what is deployed ------------------------------------------------------------------------
 
@@ -325,6 +287,15 @@ class Learner(StackedLearner):
         )
 
 
-def _by_sample(x: Tensor) -> Tensor:
-    """``[T, L, B]`` as ``[L, T * B]``."""
-    return x.transpose(0, 1).flatten(1)
+def _cost(config: Config) -> float:
+    return per_virtual_step(2.3e-4)(config) + 2.2e-3 * float(config.cloning)
+
+
+ALGORITHM: Final = Algorithm(
+    name="morel",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=_cost,
+    needs=("residual_ensemble",),
+)

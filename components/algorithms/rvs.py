@@ -19,12 +19,21 @@ initial weights; observation and return are standardised.
 """
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
+from components.algorithms.parts.algorithm import Algorithm, per_transition
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    StackedLearner,
+    descend,
+    needed,
+    saturation,
+)
+from components.algorithms.parts.ranges import check_at_least_one
 from components.core.normaliser import Normaliser
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.dataset import OfflineDataset
@@ -33,12 +42,7 @@ from components.networks import StackedMLP, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 1
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = True
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +62,7 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.batch, self.window, *self.hidden) < 1:
-            raise ValueError("updates, batch, window and hidden must be at least 1.")
+        check_at_least_one(self, "updates", "batch", "window", "hidden")
         if self.learning_rate <= 0 or not 0 < self.discount <= 1:
             raise ValueError("learning_rate must be positive and discount lie in (0, 1].")
 
@@ -92,11 +95,11 @@ class _Head(nn.Module):
 class Learner(StackedLearner):
     """A stack of RvS-R policies, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._data = data = parts.data
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._data = data = inputs.data
         device, self.lanes = data.device, data.lanes
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
-        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
+        self._actor = StackedMLP(spawn_generators(inputs.keys, "actor"), sizes).to(device)
         self._head = _Head(self.lanes, data.action_width).to(device)
         self._networks = {"actor": self._actor, "head": self._head}
         learned = [*self._actor.parameters(), *self._head.parameters()]
@@ -115,7 +118,7 @@ class Learner(StackedLearner):
         self._proximity_scaling = Normaliser.stack(scalings).to(device)  # [L, 1]
         batch = config.batch
         self._streams = LaneStreams(
-            parts.keys,
+            inputs.keys,
             {"row": lambda g, lane, steps: g.choice(windows[lane][0], size=(steps, batch))},
             device,
         )
@@ -127,9 +130,12 @@ class Learner(StackedLearner):
         means: Tensor = self._actor(torch.cat([observations, wanted[..., None]], dim=-1))
         return means
 
-    def _act(self, observations: Tensor, proximity: Tensor) -> Tensor:
-        """Deployed actions ``[L, B, A]`` for ``proximity [L, B]``."""
-        wanted = (proximity - self._proximity_scaling.mean) / self._proximity_scaling.scale
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        scaling = self._proximity_scaling
+        wanted = (needed(proximity, "proximity") - scaling.mean) / scaling.scale
         return self._means(observations, wanted).clamp(-1.0, 1.0)
 
     # -- update -----------------------------------------------------------------------------
@@ -145,7 +151,7 @@ class Learner(StackedLearner):
         descend(self._optimizers["actor"], loss)
         return {
             "actor/loss": loss.detach(),
-            "actor/cloning_error": lanewise_mean(error.detach().square()),
+            "actor/imitation_error": lanewise_mean(error.detach().square()),
             "actor/saturated_share": saturation(means),
             "actor/std": log_std.detach().exp().mean(dim=(1, 2)),
         }
@@ -160,3 +166,14 @@ class Learner(StackedLearner):
             self._data.frame_scaling,
             self._proximity_scaling,
         )
+
+
+ALGORITHM: Final = Algorithm(
+    name="rvs",
+    config=Config,
+    learner=Learner,
+    version=1,
+    cost=per_transition(6e-5),
+    takes_proximity=True,
+    frame_epsilon=1e-3,
+)

@@ -17,10 +17,12 @@ updates are the thesis's for the Industrial Benchmark (5.1.2).
 
 import copy
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
@@ -28,17 +30,13 @@ from components.algorithms.parts.learner import (
     descend,
     saturation,
 )
+from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.core.random_streams import Draw, LaneStreams, normal_draw, spawn_generators
 from components.data.batches import Batch
 from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
-
-VERSION = 2
-NEEDS: tuple[str, ...] = ()
-TAKES_LAMBDA = False
-FRAME_EPSILON = 1e-3  # added to every feature's deviation
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +49,7 @@ class Config:
     batch: int = 256  # transitions per update
     discount: float = 0.97  # gamma
     target_rate: float = 0.005  # tau
-    alpha: float = 2.5  # weight of Q against cloning
+    alpha: float = 2.5  # weight of Q against the distance to logged actions
     smoothing: float = 0.2  # standard deviation of the target action's noise
     smoothing_clip: float = 0.5
     actor_every: int = 2  # critic updates per actor and target update
@@ -62,10 +60,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        if min(self.updates, self.batch, self.actor_every, *self.hidden) < 1:
-            raise ValueError("updates, batch, actor_every and hidden must be at least 1.")
-        if not 0 < self.discount < 1 or not 0 < self.target_rate <= 1:
-            raise ValueError("discount must lie in (0, 1) and target_rate in (0, 1].")
+        check_at_least_one(self, "updates", "batch", "actor_every", "hidden")
+        check_bootstrapping(self.discount, self.target_rate)
         if self.learning_rate <= 0 or min(self.alpha, self.smoothing, self.smoothing_clip) < 0:
             raise ValueError(
                 "learning_rate must be positive; alpha, smoothing, smoothing_clip not negative."
@@ -77,14 +73,14 @@ class Learner(StackedLearner):
 
     _further_inputs = 0  # of all networks, behind the observation
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device = parts.data, parts.data.device
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
         seen = data.observation_width + self._further_inputs
         sizes = (seen, *config.hidden, data.action_width)
-        self._actor = StackedMLP(spawn_generators(parts.keys, "actor"), sizes).to(device)
-        self._critics = Critics(parts.keys, seen, data.action_width, config.hidden).to(device)
+        self._actor = StackedMLP(spawn_generators(inputs.keys, "actor"), sizes).to(device)
+        self._critics = Critics(inputs.keys, seen, data.action_width, config.hidden).to(device)
         self._actor_target = copy.deepcopy(self._actor).requires_grad_(False)
         self._critics_target = copy.deepcopy(self._critics).requires_grad_(False)
         self._networks = {
@@ -95,7 +91,7 @@ class Learner(StackedLearner):
         }
         learned = ("actor", "critics")
         self._optimizers = adam_each(self._networks, dict.fromkeys(learned, config.learning_rate))
-        self._streams = LaneStreams(parts.keys, self._draws(), device)
+        self._streams = LaneStreams(inputs.keys, self._draws(), device)
 
     def _draws(self) -> dict[str, Draw]:
         batch = self._config.batch
@@ -106,6 +102,14 @@ class Learner(StackedLearner):
 
     def _batch(self, drawn: dict[str, Tensor]) -> Batch:
         return self._data.batch(drawn["row"])
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations))
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -130,10 +134,9 @@ class Learner(StackedLearner):
         magnitude = lanewise_mean(values.detach().abs())
         distance = (actions - batch.actions).square().mean(dim=-1)
         loss = self._weigh(batch, self._config.alpha * values / magnitude[:, None], distance)
-        cloning = lanewise_mean(distance)
         return loss, {
             "actor/loss": loss.detach(),
-            "actor/cloning_error": cloning.detach(),
+            "actor/imitation_error": lanewise_mean(distance.detach()),
             "actor/saturated_share": saturation(actions),
             "critic/value_magnitude": magnitude,
         }
@@ -168,3 +171,13 @@ class Learner(StackedLearner):
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
         return Policy.of_networks(card, {"actor": self._actor.affine()}, self._data.frame_scaling)
+
+
+ALGORITHM: Final = Algorithm(
+    name="td3_bc",
+    config=Config,
+    learner=Learner,
+    version=2,
+    cost=per_transition(2.5e-5),
+    frame_epsilon=1e-3,
+)

@@ -33,8 +33,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, first_rows
+from components.algorithms.parts.algorithm import Algorithm
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner, start_rows
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
+from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
@@ -42,12 +44,8 @@ from components.models.transition.model_environment import ModelEnvironment, dis
 from components.policies.deployment import KINDS, Layers
 from components.policies.policy import Policy, PolicyCard
 
-__all__ = ["FRAME_EPSILON", "NEEDS", "TAKES_LAMBDA", "VERSION", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner"]
 
-VERSION = 2
-NEEDS = ("behaviour_policy", "recurrent_ensemble")
-TAKES_LAMBDA = False
-FRAME_EPSILON = 0.0  # of the data's frames; the policies see them as the clone does
 
 TRAJECTORIES_AT_ONCE: Final = MappingProxyType({"cpu": 4000, "cuda": 200_000})
 """Virtual trajectories of a chunk: what they need at one step should fit a processor's cache; on a
@@ -68,8 +66,8 @@ class Config:
     starts: int = 200  # start states of a lane, the same for all particles and iterations
     horizon: int = 100  # steps of a virtual trajectory
     discount: float = 0.97  # gamma
-    start_window: int = 30  # start states: the first so many steps of every trajectory
-    start_after: int = 0  # but not the first so many of them, whose past is not all recorded
+    start_window: int = 30  # start states are steps start_after ... start_window - 1 of each
+    start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -77,13 +75,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        counts = (self.updates, self.particles, self.starts, self.horizon, self.start_window)
-        if min(counts) < 1:
-            raise ValueError(
-                "updates, particles, starts, horizon and start_window must be at least 1."
-            )
-        if not 0 <= self.start_after < self.start_window:
-            raise ValueError("start_after must not be negative and lie below start_window.")
+        check_at_least_one(self, "updates", "particles", "starts", "horizon", "start_window")
+        check_virtual_starts(self.discount, self.start_window, self.start_after)
         if self.neighbourhood % 2 == 0 or not 1 <= self.neighbourhood <= self.particles:
             raise ValueError(
                 "neighbourhood must be odd and at most the number of particles, got "
@@ -93,37 +86,35 @@ class Config:
             raise ValueError("box, own_pull and ring_pull must not be negative.")
         if not 0 <= self.inertia < 1:
             raise ValueError(f"inertia must lie in [0, 1), got {self.inertia}.")
-        if not 0 < self.discount <= 1:
-            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
 
 
 class Learner(StackedLearner):
     """A stack of WSBC swarms, one lane per (dataset, seed)."""
 
-    def __init__(self, config: Config, parts: LearnerInputs) -> None:
-        self._config, self._data = config, parts.data
-        data, device = parts.data, parts.data.device
+    def __init__(self, config: Config, inputs: LearnerInputs) -> None:
+        self._config, self._data = config, inputs.data
+        data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
-        clones = parts.fitted("behaviour_policy", Policy)
+        clones = inputs.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
-        ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
-        self._machine = ModelEnvironment(
-            RecurrentTransition(ensembles, device), parts.machine, self._behaviour.frames, device
+        ensembles = inputs.fitted("recurrent_ensemble", RecurrentEnsemble)
+        self._environment = ModelEnvironment(
+            RecurrentTransition(ensembles, device), inputs.dynamics, self._behaviour.frames, device
         )
-        starts = self._starts(parts.keys)
-        self._history, recorded = data.recorded(starts, self._machine.model.memory)
+        starts = self._starts(inputs.keys)
+        self._history, recorded = data.recorded(starts, self._environment.model.memory)
         # What the ensemble remembers of the record before the start: the same for all particles.
-        self._begun = self._machine.model.begin(recorded[:, None])
+        self._begun = self._environment.model.begin(recorded[:, None])
         self._newest = recorded[:, :, :1]
         self._centre = torch.cat(
             [t.flatten(1) for layer in self._behaviour.layers for t in layer], 1
         )
-        self._swarm = self._first_swarm(parts.keys)
+        self._swarm = self._first_swarm(inputs.keys)
         self._networks = {"swarm": self._swarm}
         self._optimizers = {}
         size = tuple(self._swarm.positions.shape[1:])
         self._streams = LaneStreams(
-            parts.keys,
+            inputs.keys,
             {
                 "own": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
                 "ring": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
@@ -137,7 +128,7 @@ class Learner(StackedLearner):
         config, data = self._config, self._data
         window, after = config.start_window, config.start_after
         rows = [
-            generator.choice(first_rows(dataset, window, after), size=config.starts)
+            generator.choice(start_rows(dataset, window, after), size=config.starts)
             for generator, dataset in zip(
                 spawn_generators(keys, "start"), data.datasets, strict=True
             )
@@ -171,7 +162,17 @@ class Learner(StackedLearner):
             layers.append((pair[0], pair[1]))
         return tuple(layers)
 
-    def _act(self, layers: Layers, observations: Tensor) -> Tensor:
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return self._act_by(self._best_layers(), observations)
+
+    def _best_layers(self) -> Layers:
+        """Those of the best policies so far."""
+        return self._layers(self._swarm.best[:, None])
+
+    def _act_by(self, layers: Layers, observations: Tensor) -> Tensor:
         """Actions ``[L, C * B, A]`` of C policies a lane, each at B observations in a row."""
         grouped = observations.view(len(layers[0][0]), -1, observations.shape[-1])
         actions = KINDS["tanh"]({"actor": layers}, grouped, None, 0.0)
@@ -187,9 +188,9 @@ class Learner(StackedLearner):
             frames[:, None].expand(-1, count, -1, -1, -1).flatten(1, 2)
             for frames in (self._history, self._newest)
         )
-        steps = self._machine.unroll(
+        steps = self._environment.unroll(
             history,
-            lambda observations: self._act(layers, observations),
+            lambda observations: self._act_by(layers, observations),
             self._config.horizon,
             state=self._begun[:, :, None].expand(-1, -1, count, -1).flatten(2),
             recorded=newest,
@@ -224,5 +225,19 @@ class Learner(StackedLearner):
 
     def policy(self, card: PolicyCard) -> Policy:
         """The best policies so far, one per lane; before the first update the clones."""
-        layers = self._layers(self._swarm.best[:, None])
-        return Policy.of_networks(card, {"actor": layers}, self._behaviour.frames)
+        return Policy.of_networks(card, {"actor": self._best_layers()}, self._behaviour.frames)
+
+
+def _cost(config: Config) -> float:
+    steps = config.updates * config.particles * config.starts * config.horizon
+    return 9e-7 * float(steps)
+
+
+ALGORITHM: Final = Algorithm(
+    name="wsbc",
+    config=Config,
+    learner=Learner,
+    version=2,
+    cost=_cost,
+    needs=("behaviour_policy", "recurrent_ensemble"),
+)

@@ -1,10 +1,15 @@
-"""What is learned supervised, by name: each model's configuration, its fit and its artifact."""
+"""What is learned supervised, before any policy: behaviours, dynamics, an autoencoder of actions.
+
+In comes a dataset; out goes a fitted model as a folder of its own. One file or folder for each
+model, and one record, by which all else knows it; virtual trajectories are made in transition/.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 from components.models import action_vae, behaviour_policy
 from components.models.gaussian_behaviour import (
@@ -15,6 +20,7 @@ from components.models.gaussian_behaviour import (
 from components.models.mlp_ensemble.config import (
     DeterministicEnsembleConfig,
     GaussianEnsembleConfig,
+    MLPEnsembleConfig,
     ResidualEnsembleConfig,
 )
 from components.models.mlp_ensemble.ensemble import MLPEnsemble
@@ -27,8 +33,11 @@ from components.policies.policy import Policy
 __all__ = ["MODELS", "ModelKind"]
 
 
+C = TypeVar("C")
+
+
 @dataclass(frozen=True)
-class ModelKind:
+class ModelKind(Generic[C]):
     """One kind of supervised model.
 
     Attributes:
@@ -36,35 +45,60 @@ class ModelKind:
         fit: ``fit(dataset, config, key, device, checkpoint, monitor)``: trains on all but the last
             trajectories, resumably.
         load: Reads the folder that the fitted model's ``save`` filled.
+        cost: Core-seconds of a fit with given settings, measured roughly on a machine of 2026.
     """
 
-    config: type
+    config: type[C]
     fit: Callable[..., Fit[Any]]
     load: Callable[[Path], Any]
+    cost: Callable[[C], float]
 
 
-MODELS: Final[Mapping[str, ModelKind]] = MappingProxyType(
+def _recurrent_cost(config: RecurrentEnsembleConfig) -> float:
+    steps = config.warm_up + config.horizon
+    return 3.4e-7 * config.updates * config.batch * config.members * 2 * steps * config.hidden / 30
+
+
+def _mlp_cost(config: MLPEnsembleConfig) -> float:
+    widths = (184, *config.hidden, 2)  # 30 frames and the next inputs; fatigue and consumption
+    weights = sum(inputs * outputs for inputs, outputs in pairwise(widths))
+    return 6.5e-6 * config.epochs * config.members * len(config.forms) * weights
+
+
+MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
     {
         "behaviour_policy": ModelKind(
             behaviour_policy.BehaviourPolicyConfig,
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
+            lambda config: 0.5 * config.epochs,
         ),
         "gaussian_behaviour": ModelKind(
-            GaussianBehaviourConfig, fit_gaussian_behaviour, GaussianBehaviour.load
+            GaussianBehaviourConfig,
+            fit_gaussian_behaviour,
+            GaussianBehaviour.load,
+            lambda config: 0.5 * config.epochs,
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
             fit_recurrent_ensemble,
             RecurrentEnsemble.load,
+            _recurrent_cost,
         ),
         "deterministic_ensemble": ModelKind(
-            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load
+            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
         ),
-        "gaussian_ensemble": ModelKind(GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load),
-        "residual_ensemble": ModelKind(ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load),
+        "gaussian_ensemble": ModelKind(
+            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
+        ),
+        "residual_ensemble": ModelKind(
+            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
+        ),
         "action_vae": ModelKind(
-            action_vae.ActionVAEConfig, action_vae.fit_action_vae, action_vae.ActionVAE.load
+            action_vae.ActionVAEConfig,
+            action_vae.fit_action_vae,
+            action_vae.ActionVAE.load,
+            lambda config: 7.5 * config.epochs,
         ),
     }
 )

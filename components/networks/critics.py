@@ -60,6 +60,12 @@ class Critics(nn.Module):
             x = torch.baddbmm(inner_bias[:: self.count], x, inner_weight[:: self.count]).relu_()
         return torch.baddbmm(bias[:: self.count], x, weight[:: self.count]).squeeze(-1)
 
+    def favourite(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The action ``[L, B, A]`` of greatest first value among N, ``[L, B, N, A]``."""
+        values = self.over_actions(observations, actions)[:, 0].nan_to_num(nan=-torch.inf)
+        best = values.argmax(dim=-1)[..., None, None]
+        return actions.gather(2, best.expand(-1, -1, 1, actions.shape[-1])).squeeze(2)
+
     def first_network(self) -> list[tuple[Tensor, Tensor]]:
         """Weights and biases of every lane's first critic."""
         return [(w[:: self.count], b[:: self.count]) for w, b in self.stack.affine()]

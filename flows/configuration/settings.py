@@ -239,7 +239,7 @@ def _special_configs(
 
 
 def _algorithm_configs() -> Mapping[str, type]:
-    return {name: module.Config for name, module in ALGORITHMS.items()}
+    return {name: algorithm.config for name, algorithm in ALGORITHMS.items()}
 
 
 def _model_configs() -> Mapping[str, type]:

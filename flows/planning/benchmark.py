@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
+from components.models import MODELS
 from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Node, Plan, digest
-from flows.planning.costs import data_cost, model_cost, policy_cost
+from flows.planning.costs import data_cost
 from flows.planning.model_choice import ModelChoice, choose_models
 
 __all__ = [
@@ -124,17 +125,16 @@ def model_node(
         config={"model": name, "settings": plain(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
-        cost=model_cost(name, model),
+        cost=MODELS[name].cost(model),
     )
 
 
 def _policy_node(
     settings: Settings, variant: Variant, dataset: str, seed: int, inputs: Mapping[str, Node]
 ) -> Node:
-    algorithm, config = variant.algorithm, variant.config
-    module = ALGORITHMS[algorithm]
+    algorithm, config = ALGORITHMS[variant.algorithm], variant.config
     # A stack has one configuration, and data and models of one shape.
-    models = {role: inputs[role].config["settings"] for role in module.NEEDS}
+    models = {role: inputs[role].config["settings"] for role in algorithm.needs}
     system = settings.dataset[dataset].environment
     kind = digest([plain(asdict(config)), models, system], 4)
     return Node(
@@ -143,17 +143,17 @@ def _policy_node(
         task="flows.tasks.policy_training:train",
         version=COMPONENTS["policy_training"],
         config={
-            "algorithm": algorithm,
-            "algorithm_version": module.VERSION,
+            "algorithm": algorithm.name,
+            "algorithm_version": algorithm.version,
             "settings": plain(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
-        inputs={role: inputs[role] for role in ("dataset", *module.NEEDS)},
-        tags={"dataset": dataset, "algorithm": algorithm, "seed": str(seed), **variant.tags},
-        lanes=f"train/{algorithm}/{kind}"
+        inputs={role: inputs[role] for role in ("dataset", *algorithm.needs)},
+        tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
+        lanes=f"train/{algorithm.name}/{kind}"
         + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
-        cost=policy_cost(algorithm, config),
+        cost=algorithm.cost(config),
     )
 
 
@@ -161,7 +161,7 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
     dataset, algorithm = policy.tags["dataset"], variant.algorithm
     spec = settings.dataset[dataset]
     protocol = settings.evaluation.model_dump() | {"discount": spec.discount}
-    takes_proximity = ALGORITHMS[algorithm].TAKES_LAMBDA
+    takes_proximity = ALGORITHMS[algorithm].takes_proximity
     lambdas = round(1 / settings.evaluation.lambda_step) + 1 if takes_proximity else 1
     return Node(
         component="evaluation",
@@ -211,7 +211,7 @@ def data_plan(settings: Settings) -> Plan:
 
 
 def _needed_models(settings: Settings) -> list[str]:
-    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].NEEDS}
+    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
     return sorted(needed | {"behaviour_policy"})  # which judges distances
 
 

@@ -31,31 +31,28 @@ __all__ = ["train"]
 def train(jobs: Sequence[Job], context: TaskContext) -> None:
     """Policy training: `policy/` holds the snapshots of a run; one lane per job."""
     keep_freed_memory()
-    algorithm = jobs[0].config["algorithm"]
-    module = ALGORITHMS[algorithm]
-    config = config_object(module.Config, jobs[0].config["settings"])
+    algorithm = ALGORITHMS[jobs[0].config["algorithm"]]
+    config = config_object(algorithm.config, jobs[0].config["settings"])
     datasets = [open_dataset(job) for job in jobs]
-    data = LaneData(datasets, torch.device(context.device), module.FRAME_EPSILON)
-    parts = LearnerInputs(
+    data = LaneData(datasets, torch.device(context.device), algorithm.frame_epsilon)
+    inputs = LearnerInputs(
         data=data,
         keys=[
-            lane_key(d.card.name, algorithm, j.config["seed"])
+            lane_key(d.card.name, algorithm.name, j.config["seed"])
             for d, j in zip(datasets, jobs, strict=True)
         ],
         models={
             name: [read_input(job, name, MODELS[name].load, "model") for job in jobs]
-            for name in module.NEEDS
+            for name in algorithm.needs
         },
     )
     policies, curves = train_policies(
         algorithm,
-        module.Learner(config, parts),
+        algorithm.learner(config, inputs),
         datasets,
         [job.key for job in jobs],
         updates=config.updates,
         snapshots=jobs[0].config["snapshots"],
-        takes_lambda=module.TAKES_LAMBDA,
-        preparation=getattr(config, "preparation", 0),
         work=context.work,
         progress=context.progress,
         device=torch.device(context.device),

@@ -97,7 +97,7 @@ def test_a_killed_training_continues_there(
     for source in {source.key for node in nodes for source in node.inputs.values()}:
         (store.nodes / source).symlink_to(stores[1].path(source))
     call = GroupCall.of("again", store.root, nodes, GPU)
-    learner = ALGORITHMS[algorithm].Learner
+    learner = ALGORITHMS[algorithm].learner
     with monkeypatch.context() as killing:
         for method in ("stage", "update"):  # a captured update is not called again, but staged
             killing.setattr(learner, method, dying(getattr(learner, method), death=5))

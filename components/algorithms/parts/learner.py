@@ -1,4 +1,4 @@
-"""What every algorithm is given, and the little they share."""
+"""What every algorithm is given and owes, and the little they share."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,9 +31,10 @@ __all__ = [
     "StackedLearner",
     "adam_each",
     "descend",
-    "first_rows",
     "gather_gradients",
+    "needed",
     "saturation",
+    "start_rows",
 ]
 
 SATURATED = 0.99
@@ -66,11 +67,17 @@ class LearnerInputs:
         return found
 
     @property
-    def machine(self) -> DynamicsSpecification:
-        """What the datasets' cards say about the machine; equal for all lanes."""
+    def dynamics(self) -> DynamicsSpecification:
+        """What the datasets' cards tell of the dynamics; equal for all lanes.
+
+        Raises:
+            ValueError: If it is not.
+        """
         rules = {DynamicsSpecification.of_card(dataset.card) for dataset in self.data.datasets}
         if len(rules) != 1:
-            raise ValueError("Lanes of one stack must come from the same kind of machine.")
+            raise ValueError(
+                "The datasets of one stack tell of different dynamics; train them apart."
+            )
         return rules.pop()
 
     @property
@@ -82,6 +89,24 @@ class LearnerInputs:
 class PolicyLearner(BranchingLearner, Protocol):
     """A stack of learners that can be deployed."""
 
+    @property
+    def pretraining(self) -> int:
+        """Updates before the budget begins, in which nothing is deployed yet."""
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the learners' own networks do now: what a deployed copy of them would.
+
+        Args:
+            observations: ``[L, B, O]`` histories, scaled as the networks see them.
+            proximity: ``[L, B]`` lambda in [0, 1], for those whose policies take it.
+            noise: ``[L, B, N, E]`` standard normal, for those that choose among N candidates.
+
+        Returns:
+            Actions ``[L, B, A]`` in [-1, 1]; differentiable, unless they are chosen.
+        """
+
     def policy(self, card: PolicyCard) -> Policy:
         """The current policies, one per lane."""
 
@@ -89,9 +114,11 @@ class PolicyLearner(BranchingLearner, Protocol):
 class StackedLearner:
     """What all stacks share: named networks and optimisers, kept and put back as one state.
 
-    Subclasses fill the two mappings; targets and learned scalars are networks too.
+    Subclasses fill the two mappings; targets and learned scalars are networks too. One that needs
+    updates before its budget counts them in ``pretraining``.
     """
 
+    pretraining: int = 0
     _networks: Mapping[str, nn.Module]
     _optimizers: Mapping[str, torch.optim.Optimizer]
     _streams: LaneStreams
@@ -157,18 +184,29 @@ def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     optimizer.step()
 
 
+def needed(given: Tensor | None, what: str) -> Tensor:
+    """An input of :meth:`PolicyLearner.act` that cannot be left out.
+
+    Raises:
+        ValueError: If it was.
+    """
+    if given is None:
+        raise ValueError(f"These policies need {what}.")
+    return given
+
+
 def saturation(actions: Tensor) -> Tensor:
     """Share of action entries on a bound (beyond 0.99), ``[L]``."""
     return (actions.detach().abs() > SATURATED).flatten(1).float().mean(dim=1)
 
 
-def first_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
-    """Transitions among the first ``window`` of their episode, ``[<= E * window]``.
+def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
+    """Transitions in whose states virtual trajectories may start, ``[<= E * (window - after)]``.
 
     Args:
         dataset: The log.
-        window: Steps of an episode.
-        after: Of these, so many at its beginning do not count.
+        window: Steps ``after`` ... ``window - 1`` of every episode are taken.
+        after: From this one on.
 
     Raises:
         ValueError: If no episode is longer than ``after``.

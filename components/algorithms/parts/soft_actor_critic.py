@@ -10,7 +10,7 @@ Per update, on one batch, ``alpha = exp(log_alpha)``:
     targets <- tau online + (1 - tau) target
 
 in this order; the temperature steps on the densities that the actor's loss has used. The authors
-of MOPO take -3 as the target entropy of all tasks, which is -A on a machine of three actions.
+of MOPO take -3 as the target entropy of all tasks, which is -A where there are three actions.
 Deployed is tanh of the mean.
 """
 
@@ -73,6 +73,14 @@ class SoftActorCritic(StackedLearner):
         }
         learned = ("actor", "critics", "log_temperature")
         self._optimizers = adam_each(self._networks, dict.fromkeys(learned, learning_rate))
+
+    # -- networks ---------------------------------------------------------------------------
+
+    def act(
+        self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
+    ) -> Tensor:
+        """What the current policies do, see :class:`.PolicyLearner`."""
+        return torch.tanh(self._actor(observations)[0])
 
     # -- losses -----------------------------------------------------------------------------
 

@@ -9,9 +9,11 @@ merely diverge are nobody's business here: such policies are kept and judged lik
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from components.algorithms.parts.algorithm import Algorithm
 from components.algorithms.parts.learner import PolicyLearner
 from components.data.dataset import OfflineDataset
 from components.policies.policy import Policy, PolicyCard
@@ -37,15 +39,13 @@ def snapshot_steps(updates: int, snapshots: int) -> tuple[int, ...]:
 
 
 def train_policies(
-    algorithm: str,
+    algorithm: Algorithm[Any],
     learner: PolicyLearner,
     datasets: Sequence[OfflineDataset],
     members: Sequence[str],
     *,
     updates: int,
     snapshots: int,
-    takes_lambda: bool,
-    preparation: int = 0,
     work: Path,
     progress: Callable[[float], None],
     save_every: float = 20.0,
@@ -54,34 +54,33 @@ def train_policies(
     """Train all lanes and collect their snapshots.
 
     Args:
-        algorithm: Name for the policies' cards.
+        algorithm: Whose name the policies' cards bear.
         learner: A stack of L fresh learners.
         datasets: One per lane.
         members: Names of the lanes, stable across restarts.
         updates: Budget.
         snapshots: S, equally spaced.
-        takes_lambda: For the policies' cards.
-        preparation: Updates before the budget begins, in which nothing is deployed yet.
         work: Folder that survives a kill; holds the checkpoint and the snapshots so far.
-        progress: Told the finished fraction of the budget; an update of the preparation may cost
-            a hundredth of one of the budget, so that it stays at 0 until then.
+        progress: Told the finished fraction of the budget; an update of pretraining may cost a
+            hundredth of one of the budget, so that it stays at 0 until then.
         save_every: Seconds between checkpoints.
         device: The learner's.
 
     Returns:
         Per lane a policy stack of S snapshots; the learning curves.
     """
-    everything = preparation + updates
-    steps = tuple(preparation + step for step in snapshot_steps(updates, snapshots))
+    before = learner.pretraining
+    everything = before + updates
+    steps = tuple(before + step for step in snapshot_steps(updates, snapshots))
     folders = {step: work / f"snapshot-{step:08d}" for step in (0, *steps)}
     cards = [
         PolicyCard(
-            algorithm=algorithm,
+            algorithm=algorithm.name,
             dataset=data.card.name,
             features=tuple(data.card.frame_features),
             history=data.card.history,
             actions=len(data.card.action_features),
-            takes_lambda=takes_lambda,
+            takes_lambda=algorithm.takes_proximity,
             steps=(0,),
         )
         for data in datasets
@@ -104,7 +103,7 @@ def train_policies(
         work / "checkpoint.safetensors",
         log_every,
         save_every,
-        lambda fraction: progress(max(0.0, (fraction * everything - preparation) / updates)),
+        lambda fraction: progress(max(0.0, (fraction * everything - before) / updates)),
     )
     if not loop.checkpoint_exists:
         keep_snapshot(0, Curves())

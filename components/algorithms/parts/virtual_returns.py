@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from components.algorithms.parts.learner import LearnerInputs, first_rows
+from components.algorithms.parts.learner import LearnerInputs, start_rows
 from components.core.random_streams import Draw
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
@@ -18,7 +18,7 @@ class VirtualReturns:
     """Differentiable returns on recurrent ensembles, every step taking the least reward.
 
     Args:
-        parts: Data and ensembles of the lanes.
+        inputs: Data and ensembles of the lanes.
         horizon: Steps of a trajectory.
         discount: gamma.
 
@@ -26,22 +26,25 @@ class VirtualReturns:
         scale: ``[L, 1]`` size of the log's own mean return, by which returns are divided.
     """
 
-    def __init__(self, parts: LearnerInputs, horizon: int, discount: float) -> None:
-        self._data, self._horizon, self._discount = parts.data, horizon, discount
-        device = parts.data.device
-        ensembles = parts.fitted("recurrent_ensemble", RecurrentEnsemble)
-        self._machine = ModelEnvironment(
-            RecurrentTransition(ensembles, device), parts.machine, parts.data.frame_scaling, device
+    def __init__(self, inputs: LearnerInputs, horizon: int, discount: float) -> None:
+        self._data, self._horizon, self._discount = inputs.data, horizon, discount
+        device = inputs.data.device
+        ensembles = inputs.fitted("recurrent_ensemble", RecurrentEnsemble)
+        self._environment = ModelEnvironment(
+            RecurrentTransition(ensembles, device),
+            inputs.dynamics,
+            inputs.data.frame_scaling,
+            device,
         )
-        self.scale = torch.tensor(parts.mean_window_returns, device=device).abs()[:, None]
+        self.scale = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
 
     def start_draw(self, batch: int, window: int, after: int) -> Draw:
-        """Drawing rule of start states, see :func:`.learner.first_rows`."""
-        starts = [first_rows(dataset, window, after) for dataset in self._data.datasets]
+        """Drawing rule of start states, see :func:`.learner.start_rows`."""
+        starts = [start_rows(dataset, window, after) for dataset in self._data.datasets]
         return lambda g, lane, steps: g.choice(starts[lane], size=(steps, batch))
 
     def of(self, start: Tensor, act: Callable[[Tensor], Tensor]) -> Tensor:
         """Scaled discounted returns ``[L, B]`` from the logged states ``start [L, B]`` on."""
-        history, recorded = self._data.recorded(start, self._machine.model.memory)
-        steps = self._machine.unroll(history, act, self._horizon, recorded=recorded)
+        history, recorded = self._data.recorded(start, self._environment.model.memory)
+        steps = self._environment.unroll(history, act, self._horizon, recorded=recorded)
         return discounted_sum([step.rewards for step in steps], self._discount) / self.scale

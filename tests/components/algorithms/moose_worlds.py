@@ -37,7 +37,7 @@ def moose_learner(
     **changes: Any,
 ) -> Learner:
     """A small stack; its models are the given ones, for all lanes, or random ones of each log."""
-    found = {name: [random_model(name, log) for log in logs] for name in moose.NEEDS}
+    found = {name: [random_model(name, log) for log in logs] for name in moose.ALGORITHM.needs}
     found |= {name: [model] * len(logs) for name, model in (models or {}).items()}
     keys = [lane_key(log.card.name, "moose", seed) for log, seed in zip(logs, seeds, strict=True)]
     settings = Config(**(SMALL["moose"] | changes))

@@ -58,7 +58,7 @@ def constant(
     return ensemble(weight, bias, elites, "change", LOG)
 
 
-def true_machine(
+def true_ensemble(
     log: OfflineDataset,
     log_variance: Sequence[float],
     slope: Sequence[float],
@@ -94,7 +94,7 @@ def made_of(
 ) -> mopo.Learner:
     """One lane for each ensemble."""
     lanes = len(ensembles)
-    data = LaneData([log] * lanes, torch.device("cpu"), mopo.FRAME_EPSILON)
+    data = LaneData([log] * lanes, torch.device("cpu"), mopo.ALGORITHM.frame_epsilon)
     models = {"gaussian_ensemble": list(ensembles)}
     return mopo.Learner(config("mopo", **changes), LearnerInputs(data, keys(*range(lanes)), models))
 

@@ -47,7 +47,7 @@ def scaled(history: np.ndarray) -> np.ndarray:
 
 
 def prepared(*seeds: int, **changes: Any) -> Any:
-    """Learners whose cloning is over and whose mean actions reach beyond the box."""
+    """Learners whose pretraining is over and whose mean actions reach beyond the box."""
     made = learner("morel", [LOG] * len(seeds), seeds, cloning=0, **changes)
     with torch.no_grad():
         for parameter in made._actor.stack.affine()[-1]:
@@ -92,7 +92,7 @@ def linear_ensemble(
 
 
 def in_world(ensemble: MLPEnsemble, **changes: Any) -> Any:
-    parts = LearnerInputs(
+    inputs = LearnerInputs(
         LaneData([LOG], CPU),
         [lane_key("world", 0)],
         {"residual_ensemble": [ensemble]},
@@ -106,4 +106,4 @@ def in_world(ensemble: MLPEnsemble, **changes: Any) -> Any:
         "learning_rate": 1e-2,
         "batch": 64,
     }
-    return morel.Learner(config("morel", cloning=0, **(more | changes)), parts)
+    return morel.Learner(config("morel", cloning=0, **(more | changes)), inputs)

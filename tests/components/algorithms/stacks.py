@@ -82,7 +82,7 @@ SMALL: dict[str, dict[str, Any]] = {
 
 def config(algorithm: str, **changes: Any) -> Any:
     """Small settings of an algorithm."""
-    return ALGORITHMS[algorithm].Config(**(SMALL[algorithm] | changes))
+    return ALGORITHMS[algorithm].config(**(SMALL[algorithm] | changes))
 
 
 def learner(
@@ -94,15 +94,15 @@ def learner(
     **changes: Any,
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
-    module = ALGORITHMS[algorithm]
-    parts = LearnerInputs(
-        data=LaneData(logs, device, module.FRAME_EPSILON),
+    record = ALGORITHMS[algorithm]
+    inputs = LearnerInputs(
+        data=LaneData(logs, device, record.frame_epsilon),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
         ],
-        models={name: [random_model(name, log) for log in logs] for name in module.NEEDS},
+        models={name: [random_model(name, log) for log in logs] for name in record.needs},
     )
-    return module.Learner(config(algorithm, **changes), parts)
+    return record.learner(config(algorithm, **changes), inputs)
 
 
 def run(made: Any, updates: int, start: int = 0) -> list[dict[str, torch.Tensor]]:

@@ -22,7 +22,7 @@ def test_loss_is_the_mean_squared_distance_over_batch_and_entries() -> None:
         expected.append(total / (16 * 3))
     metrics = made.update(0)
     # float32
-    assert metrics["actor/cloning_error"].tolist() == pytest.approx(expected, rel=1e-5)
+    assert metrics["actor/imitation_error"].tolist() == pytest.approx(expected, rel=1e-5)
 
 
 def test_saturated_share_counts_entries_beyond_0_99() -> None:
@@ -39,7 +39,7 @@ def test_learns_the_operator_and_deploys_it() -> None:
     log = make_log(episodes=20, explore=0.0)
     made = learner("bc", [log], [0], learning_rate=3e-3, batch=64, hidden=(32,))
     metrics = run(made, 1000)
-    errors = torch.stack([m["actor/cloning_error"] for m in metrics])
+    errors = torch.stack([m["actor/imitation_error"] for m in metrics])
     # measured 0.020 at first and 0.00002 at last
     assert errors[0] > 0.01
     assert errors[-50:].mean() < 0.0005

@@ -71,13 +71,13 @@ def divergence(
     return total / len(noise), actions
 
 
-def test_cloning_loss_by_hand() -> None:
+def test_behaviour_loss_by_hand() -> None:
     made = small()
     weights = [0.7, 0.2]
     made._entropy_weight.value.data = torch.tensor(weights)
     batch, noise = rows(made, 0, 1, 2, 50, 79), normal(2, 5, 1, 3)
     assert (batch.actions.abs() == 1.0).any()  # the inverse tanh of these would be infinite
-    loss, own = made._cloning_loss(batch, noise)
+    loss, own = made._behaviour_loss(batch, noise)
     for lane in range(2):
         logged, drawn = [], []
         for i in range(5):
@@ -157,8 +157,8 @@ def test_targets_pay_for_divergence_and_stop_at_terminals_alone() -> None:
 
 def test_the_behaviour_is_learned_first() -> None:
     made = small()
-    branches = [made.branch(step) for step in range(made._config.preparation + 1)]
-    assert branches == ["behaviour"] * made._config.preparation + ["values"]
+    branches = [made.branch(step) for step in range(made.pretraining + 1)]
+    assert branches == ["behaviour"] * made.pretraining + ["values"]
 
 
 def test_actor_loss_leaves_values_out_until_the_warm_up_ends() -> None:
@@ -166,7 +166,7 @@ def test_actor_loss_leaves_values_out_until_the_warm_up_ends() -> None:
     batch, noise = rows(made, 3, 50, 100), normal(2, 3, 4, 3)
     first = 0.04 * 100  # of 100 updates
     for step, sees_values in ((0, False), (first - 1, False), (first, True), (99, True)):
-        follows = made.branch(made._config.preparation + int(step)) == "actor"
+        follows = made.branch(made.pretraining + int(step)) == "actor"
         loss, metrics = made._actor_loss(batch, noise, follows)
         assert ("critic/value_magnitude" in metrics) == sees_values
         for lane in range(2):
@@ -186,7 +186,7 @@ def test_actor_loss_leaves_values_out_until_the_warm_up_ends() -> None:
 
 def test_targets_move_before_the_critics_do() -> None:
     made = small(target_rate=0.5, learning_rate=0.1)
-    step = made._config.preparation
+    step = made.pretraining
     drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
     batch = made._data.batch(drawn["row"])
     online = [p.detach().clone() for p in made._critics.parameters()]
@@ -210,7 +210,7 @@ def test_targets_move_before_the_critics_do() -> None:
 
 def test_critic_loss_is_the_sum_of_two_mean_squared_errors() -> None:
     made = small(target_rate=1.0)  # the targets become the critics, whose values are known
-    step = made._config.preparation
+    step = made.pretraining
     drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
     batch = made._data.batch(drawn["row"])
     before = small()
@@ -230,7 +230,7 @@ def test_critic_loss_is_the_sum_of_two_mean_squared_errors() -> None:
 
 def test_behaviour_learns_first_and_is_frozen_afterwards() -> None:
     made = learner("brac", [make_log()], [0])
-    assert made._config.preparation == 10
+    assert made.pretraining == 10
     for step in range(14):
         before = {k: v.clone() for k, v in made.state_dict().items()}
         made.update(step)
@@ -240,23 +240,23 @@ def test_behaviour_learns_first_and_is_frozen_afterwards() -> None:
             for name in after
             if name not in before or not torch.equal(after[name], before[name])
         }
-        cloning = {"behaviour", "entropy_weight"}
-        optimised = cloning if step < 10 else {"actor", "critics"}
+        pretrained = {"behaviour", "entropy_weight"}
+        optimised = pretrained if step < 10 else {"actor", "critics"}
         expected = optimised | {f"{name}_optimizer" for name in optimised}
         # the targets start as copies, so their first move goes nowhere
         assert moved == expected | ({"critics_target"} if step > 10 else set())
 
 
-@pytest.mark.parametrize(("updates", "preparation"), [(10_000, 6_000), (500, 300), (1, 1)])
-def test_preparation_is_three_fifths_of_the_updates(updates: int, preparation: int) -> None:
-    assert brac.Config(updates=updates).preparation == preparation
+@pytest.mark.parametrize(("updates", "pretraining"), [(10_000, 6_000), (500, 300), (1, 1)])
+def test_pretraining_is_three_fifths_of_the_updates(updates: int, pretraining: int) -> None:
+    assert brac.Config(updates=updates).pretraining == pretraining
 
 
-def test_state_kept_while_cloning_continues_to_the_same_numbers() -> None:
+def test_state_kept_in_pretraining_continues_to_the_same_numbers() -> None:
     made = learner("brac", [make_log()], [0])
     run(made, 6)
     state = {k: v.clone() for k, v in made.state_dict().items()}
-    expected = run(made, 10, start=6)  # cloning ends after 10 updates, the warm-up after 14
+    expected = run(made, 10, start=6)  # pretraining ends after 10 updates, the warm-up after 14
     resumed = learner("brac", [make_log()], [0])
     resumed.load_state_dict(state)
     for ours, theirs in zip(run(resumed, 10, start=6), expected, strict=True):
@@ -265,7 +265,7 @@ def test_state_kept_while_cloning_continues_to_the_same_numbers() -> None:
             assert torch.equal(ours[name], value)
 
 
-def test_cloning_comes_near_the_logged_density() -> None:
+def test_pretraining_comes_near_the_logged_density() -> None:
     """One operator with Gaussian deeds: tanh(N(-0.5, 0.3^2)) in every state."""
     log = make_log(episodes=20)
     raw = np.random.default_rng(0).normal(-0.5, 0.3, log.actions.shape)

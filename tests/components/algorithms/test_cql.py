@@ -221,7 +221,7 @@ def test_actor_clones_at_first_and_climbs_the_values_later() -> None:
             assert loss[lane].item() == pytest.approx(expected, **CLOSE)
 
 
-def test_cloning_is_the_authors_share_of_the_budget() -> None:
+def test_the_warm_up_is_the_authors_share_of_the_budget() -> None:
     made = small(updates=50)
     cloned = ["critic/value_magnitude" not in made.update(step) for step in range(6)]
     assert cloned == [True, True, False, False, False, False]
@@ -230,7 +230,7 @@ def test_cloning_is_the_authors_share_of_the_budget() -> None:
     assert settings.cloning * settings.updates == pytest.approx(300_000 * 40_000 / 1_000_000)
 
 
-def test_cloning_on_the_bounds_stays_finite() -> None:
+def test_a_warm_up_on_the_bounds_stays_finite() -> None:
     log = make_log()
     log = relabelled(log, actions=np.sign(log.actions).astype(np.float32))
     made = learner("cql", [log], [0], cloning=1.0, actor_learning_rate=0.03)

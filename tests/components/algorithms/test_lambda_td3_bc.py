@@ -57,7 +57,7 @@ def test_actor_loss_is_equation_6_9() -> None:
         ]
         # float32
         assert loss[lane].item() == pytest.approx(np.mean(terms), rel=1e-4, abs=1e-6)
-        assert metrics["actor/cloning_error"][lane].item() == pytest.approx(
+        assert metrics["actor/imitation_error"][lane].item() == pytest.approx(
             np.mean(distances), rel=1e-5
         )
 
@@ -124,7 +124,7 @@ def test_at_zero_values_do_not_count_and_at_one_the_log_does_not() -> None:
         assert log_counts == (proximity < 1.0)
 
 
-def test_the_dial_goes_from_cloning_to_the_greatest_value() -> None:
+def test_proximity_goes_from_imitation_to_the_greatest_value() -> None:
     # The reward is the action's first entry, logged actions are tanh N(-0.5, 0.3) there.
     log = make_log(episodes=20)
     actions = np.tanh(np.random.default_rng(0).normal(-0.5, 0.3, log.actions.shape))

@@ -78,7 +78,7 @@ def test_losses_of_an_update_by_plain_loops() -> None:
         zero = torch.zeros(1, len(histories))
         cloned = before.lane(lane, before.card).act(histories[None], zero)[0].numpy()
         logged = LOG.actions[drawn["clone"][lane].numpy()]
-        cloning = np.square(cloned - logged).sum(axis=1).mean()
+        imitation = np.square(cloned - logged).sum(axis=1).mean()
         lam = drawn["proximity"][lane].double().numpy()
         mixed = lam * -returns / 50.0 + (1.0 - lam) * penalties  # the card's mean return is -50
         # float32 through five recurrent steps
@@ -86,8 +86,10 @@ def test_losses_of_an_update_by_plain_loops() -> None:
             returns.mean(), rel=1e-4
         )
         assert float(metrics["policy/penalty"][lane]) == pytest.approx(penalties.mean(), rel=1e-3)
-        assert float(metrics["policy/cloning_loss"][lane]) == pytest.approx(cloning, rel=1e-4)
-        loss = mixed.mean() + 0.1 * cloning
+        assert float(metrics["policy/imitation_error"][lane]) == pytest.approx(
+            imitation / 3, rel=1e-4
+        )
+        loss = mixed.mean() + 0.1 * imitation
         assert float(metrics["policy/loss"][lane]) == pytest.approx(loss, rel=1e-3)
 
 
@@ -100,7 +102,7 @@ def test_the_step_follows_the_gradient_of_that_loss() -> None:
         with torch.no_grad():
             returns, penalty = made._virtual_losses(drawn["start"], drawn["proximity"])
             mixed = -drawn["proximity"] * returns + (1 - drawn["proximity"]) * penalty
-            return float(mixed.mean() + 0.1 * made._cloning_loss(drawn["clone"]).sum())
+            return float(mixed.mean() + 0.1 * made._imitation_loss(drawn["clone"]).sum())
 
     differences = []
     for entry in range(3):

@@ -69,11 +69,11 @@ def test_start_states_are_early_ones() -> None:
 
 def test_nothing_holds_it_near_the_data() -> None:
     """Where less velocity is all that counts it ends on the bound, whatever the log did."""
-    parts = LearnerInputs(
+    inputs = LearnerInputs(
         data=LaneData([LOG], CPU), keys=[3], models={"recurrent_ensemble": [consuming()]}
     )
     settings = SMALL["model_based"] | {"learning_rate": 5e-3, "hidden": (16,), "trajectories": 20}
-    made = model_based.Learner(model_based.Config(**settings), parts)
+    made = model_based.Learner(model_based.Config(**settings), inputs)
     start = torch.arange(0, LOG.transitions, 5)[None]
 
     def mean_return() -> float:

@@ -161,7 +161,7 @@ def in_double(made: Learner) -> None:
             n: getattr(ensemble, n).double() for n in ("low", "high", "target_mean", "target_scale")
         },
     )
-    machine = ModelEnvironment(
+    environment = ModelEnvironment(
         MLPTransition([ensemble], scaling, CPU),
         DynamicsSpecification.of_card(LOG.card),
         scaling,
@@ -169,7 +169,7 @@ def in_double(made: Learner) -> None:
     )
     part.reconstruct._network.double()
     part.actor.double()
-    made._parts = [dataclasses.replace(part, machine=machine)]
+    made._parts = [dataclasses.replace(part, environment=environment)]
 
 
 def test_gradient_of_the_loss_by_central_differences() -> None:

@@ -18,7 +18,7 @@ from tests.components.algorithms.mopo_worlds import (
     STEPS,
     made_of,
     raw_targets,
-    true_machine,
+    true_ensemble,
 )
 from tests.components.algorithms.parts.test_soft_actor_critic import compare_an_update
 from tests.components.algorithms.stacks import config, learner, run, scattered
@@ -117,7 +117,7 @@ def gain_after(penalty: float) -> float:
     """Mean gain of the machine under the deployed policy, after 15 steps."""
     # The one that is followed is sure; of the others one doubts low gains and one high ones, so
     # that the penalty is least at the log's mean.
-    doubting = true_machine(LOG, [-8.0, -2.0, -2.0], [0.0, 3.0, -3.0], [0])
+    doubting = true_ensemble(LOG, [-8.0, -2.0, -2.0], [0.0, 3.0, -3.0], [0])
     made = made_of(
         [doubting],
         penalty=penalty,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from components.algorithms.mopo import healthy_ranges
+from components.algorithms.parts.falls import healthy_ranges
 from components.algorithms.parts.model_buffer import ModelBuffer
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset

@@ -22,7 +22,7 @@ from tests.components.algorithms.mopo_worlds import (
     constant,
     made_of,
     raw_targets,
-    true_machine,
+    true_ensemble,
 )
 from tests.components.algorithms.parts.test_model_buffer import frames_before, seen
 from tests.components.algorithms.plain import floats, gaussian_parameters
@@ -170,7 +170,7 @@ def test_trajectories_by_plain_loops(limits: str) -> None:
 def test_a_model_that_knows_the_machine_reproduces_its_return() -> None:
     """Zero spread and a fixed policy: the stored rewards are those of the machine itself."""
     steps, actions = 25, np.array([0.3, -0.5, 0.2])
-    known = true_machine(LOG, [-50.0] * 2, [0.0] * 2, [0, 1])
+    known = true_ensemble(LOG, [-50.0] * 2, [0.0] * 2, [0, 1])
     made = made_of([known], rollout_length=steps, penalty=1.0)
     with torch.no_grad():
         last = made._actor.stack.layers[-1]
@@ -247,13 +247,13 @@ def test_trajectories_begin_anywhere_in_the_log_and_come_in_bounded_chunks(
     monkeypatch.setattr(mopo, "CHUNK", 150)
     made = learner("mopo", [LOG, OTHER], [0, 1], rollouts=1000)
     assert made._chunks == 7
-    widths, unroll = [], made._machine.unroll
+    widths, unroll = [], made._environment.unroll
 
     def watched(history: Tensor, *arguments: Any, **options: Any) -> Any:
         widths.append(history.shape[1])
         return unroll(history, *arguments, **options)
 
-    made._machine.unroll = watched
+    made._environment.unroll = watched
     made._roll_out(0)
     assert widths == [150] * 6 + [100]
     drawn = torch.cat([made._rollout_streams.at(n)["start"] for n in range(7)], dim=1)

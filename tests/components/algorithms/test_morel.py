@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from components.algorithms import morel
-from components.algorithms.parts.pessimistic_mdp import live_samples
+from components.algorithms.parts.halting import live_samples
 from tests.components.algorithms.morel_worlds import (
     HALT_RETURN,
     HORIZON,
@@ -261,7 +261,7 @@ def test_it_finds_the_known_optimum_and_halt_holds_it_in_the_known() -> None:
     # the limit 0.81 to 0.87 against 0 to 0.02
     assert returns[-5:].mean() > returns[:5].mean() + 1.5
     seen = free._data.observations(torch.arange(0, 240, 5)[None])
-    assert free._act(seen)[0, :, 2].mean() < -0.7
+    assert free.act(seen)[0, :, 2].mean() < -0.7
     halted = torch.stack([m["actor/halted_share"] for m in run(careful, 40)]).flatten()
     limit = -1.0 - float(careful._detector.threshold) / 2.0  # twice the distance is the threshold
     assert (shifts(free) < limit).float().mean() > 0.6
@@ -269,26 +269,26 @@ def test_it_finds_the_known_optimum_and_halt_holds_it_in_the_known() -> None:
     assert halted[-5:].mean() < halted[:5].mean()
 
 
-def test_cloning_comes_near_the_logged_actions_and_leaves_the_deviations() -> None:
+def test_pretraining_comes_near_the_logged_actions_and_leaves_the_deviations() -> None:
     log = make_log(explore=0.0, episodes=20)
     made = learner("morel", [log], [0], cloning=300, hidden=(16,), learning_rate=1e-2, batch=64)
-    assert made._config.preparation == 300
+    assert made.pretraining == 300
     rows = torch.arange(800)[None]
 
     def distance() -> float:
-        acted = made._act(made._data.observations(rows)).detach()
+        acted = made.act(made._data.observations(rows)).detach()
         return float((acted - made._data.actions(rows)).square().mean().sqrt())
 
     before = distance()
     metrics = run(made, 300)
     assert torch.equal(made._actor.log_std, torch.full((1, 1, 3), -0.25))
-    assert {tuple(m) for m in metrics} == {("actor/cloning_loss",)}
+    assert {tuple(m) for m in metrics} == {("actor/imitation_error",)}
     assert before > 0.2
     # measured 0.006 to 0.007 with three seeds
     assert distance() < 0.05 * before
 
 
-def test_cloning_moves_the_means_alone_and_climbing_policy_and_baseline() -> None:
+def test_pretraining_moves_the_means_alone_and_climbing_policy_and_baseline() -> None:
     made = learner("morel", [LOG], [0])
     for step in range(13):
         before = {k: v.clone() for k, v in made.state_dict().items()}

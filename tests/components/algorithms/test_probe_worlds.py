@@ -30,7 +30,7 @@ def trained(name: str, log: OfflineDataset, updates: int, **changes: Any) -> Any
     """A learner after a short training with large rates."""
     settings = QUICK[name] | {"learning_rate": 3e-3, "batch": 64, "updates": updates} | changes
     made = learner(name, [log], [0], **settings)
-    run(made, updates + getattr(ALGORITHMS[name].Config(**settings), "preparation", 0))
+    run(made, updates + made.pretraining)
     return made
 
 
@@ -69,7 +69,7 @@ def bandit_actions(name: str, **changes: Any) -> torch.Tensor:
         terminated=np.ones(log.transitions, dtype=np.bool_),
     )
     made = trained(name, log, 500, hidden=(32,), **changes)
-    takes_lambda = ALGORITHMS[name].TAKES_LAMBDA
+    takes_lambda = ALGORITHMS[name].takes_proximity
     policy = made.policy(policy_card(log, takes_lambda=takes_lambda))
     histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
     shape = (1, 200, policy.card.candidates, policy.card.noise)

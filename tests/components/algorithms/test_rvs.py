@@ -110,7 +110,9 @@ def test_loss_is_the_negative_log_likelihood() -> None:
         expected.append(-np.mean(densities))
     metrics = made.update(0)
     assert metrics["actor/loss"].tolist() == pytest.approx(expected, rel=1e-4)  # float32
-    assert metrics["actor/cloning_error"].mean().item() == pytest.approx(np.mean(errors), rel=1e-4)
+    assert metrics["actor/imitation_error"].mean().item() == pytest.approx(
+        np.mean(errors), rel=1e-4
+    )
 
 
 def test_dial_asks_for_the_mean_and_the_best_of_the_log() -> None:

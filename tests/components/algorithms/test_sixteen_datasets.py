@@ -51,7 +51,7 @@ def trained(name: str, logs: list[OfflineDataset]) -> tuple[Any, list[dict[str, 
     made = learner(
         name, logs, [0] * len(logs), updates=UPDATES, batch=32, **(rates | SETTINGS[name])
     )
-    return made, run(made, UPDATES + getattr(made._config, "preparation", 0))
+    return made, run(made, UPDATES + made.pretraining)
 
 
 def test_logs_sit_on_the_bounds(logs: list[OfflineDataset]) -> None:

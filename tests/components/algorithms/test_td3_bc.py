@@ -91,8 +91,8 @@ class PlainTD3BC:
             chosen = torch.tanh(self.actor(seen))
             value = self.critics[0](torch.cat([seen, chosen], dim=1)).squeeze(1)
             weight = c.alpha / value.abs().mean().detach()
-            cloning = ((chosen - taken) ** 2).mean()
-            actor_loss = -weight * value.mean() + cloning
+            imitation = ((chosen - taken) ** 2).mean()
+            actor_loss = -weight * value.mean() + imitation
             self.actor_adam.zero_grad()
             actor_loss.backward()
             self.actor_adam.step()
@@ -102,7 +102,7 @@ class PlainTD3BC:
                 for slow, fast in pairs:
                     for s, f in zip(slow.parameters(), fast.parameters(), strict=True):
                         s.copy_((1 - c.target_rate) * s + c.target_rate * f)
-            metrics |= {"actor/loss": actor_loss.item(), "actor/cloning_error": cloning.item()}
+            metrics |= {"actor/loss": actor_loss.item(), "actor/imitation_error": imitation.item()}
         return metrics
 
 
@@ -179,12 +179,12 @@ def test_without_weight_on_values_it_clones() -> None:
     log = make_log(episodes=20, explore=0.0)
     made = learner("td3_bc", [log], [0], alpha=0.0, learning_rate=3e-3, batch=64, hidden=(32,))
     metrics = run(made, 1000)
-    errors = torch.stack([m["actor/cloning_error"] for m in metrics[1::2]])
+    errors = torch.stack([m["actor/imitation_error"] for m in metrics[1::2]])
     # measured 0.061 at first and 0.00005 at last
     assert errors[-50:].mean() < 0.005
     assert errors[0] > 0.05
     for m in metrics[1::2]:
-        assert torch.equal(m["actor/loss"], m["actor/cloning_error"])
+        assert torch.equal(m["actor/loss"], m["actor/imitation_error"])
 
 
 def test_values_pull_the_actor_towards_rewarded_actions() -> None:
@@ -196,7 +196,7 @@ def test_values_pull_the_actor_towards_rewarded_actions() -> None:
     run(made, 600)
     histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
     actions = made.policy(policy_card(log)).act(histories)[0]
-    # cloning alone would end near 0 everywhere; measured means 0.99, -0.10, -0.09
+    # imitation alone would end near 0 everywhere; measured means 0.99, -0.10, -0.09
     assert actions[:, 0].mean() > 0.7
     assert actions[:, 1:].mean(dim=0).abs().max() < 0.3
 

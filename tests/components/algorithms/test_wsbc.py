@@ -33,12 +33,12 @@ def made_of(
     behaviour: list[Policy], ensembles: list[RecurrentEnsemble], logs: list, **changes: Any
 ) -> wsbc.Learner:
     """A learner on given models."""
-    parts = LearnerInputs(
+    inputs = LearnerInputs(
         data=LaneData(logs, CPU),
         keys=[lane_key(log.card.name, "wsbc") for log in logs],
         models={"behaviour_policy": behaviour, "recurrent_ensemble": ensembles},
     )
-    return wsbc.Learner(wsbc.Config(**(SMALL["wsbc"] | changes)), parts)
+    return wsbc.Learner(wsbc.Config(**(SMALL["wsbc"] | changes)), inputs)
 
 
 def layers_at(position: torch.Tensor, behaviour: Policy) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -199,13 +199,13 @@ def test_chunks_do_not_change_the_result(at_once: int, monkeypatch: pytest.Monke
     monkeypatch.setattr(wsbc, "TRAJECTORIES_AT_ONCE", {"cpu": at_once})
     unrolled: list[int] = []
     chunked = learner("wsbc", logs, [0, 1], **sizes)
-    unroll = chunked._machine.unroll
+    unroll = chunked._environment.unroll
 
     def watched(history: torch.Tensor, *args: Any, **named: Any) -> Any:
         unrolled.append(history.shape[1])
         return unroll(history, *args, **named)
 
-    chunked._machine.unroll = watched  # type: ignore[method-assign]
+    chunked._environment.unroll = watched  # type: ignore[method-assign]
     for step in range(3):
         run(whole, 1, step)
         run(chunked, 1, step)
@@ -260,7 +260,7 @@ def test_a_wider_box_finds_more() -> None:
 def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
     log = make_log(history=30)
     clone = random_policy(log, ("big",), hidden=20)
-    parts = LearnerInputs(
+    inputs = LearnerInputs(
         data=LaneData([log], CPU),
         keys=[1],
         models={
@@ -268,7 +268,7 @@ def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
             "recurrent_ensemble": [random_ensemble(log, "big")],
         },
     )
-    made = wsbc.Learner(wsbc.Config(), parts)
+    made = wsbc.Learner(wsbc.Config(), inputs)
     assert made._swarm.positions.shape == (1, 200, 3683)
     assert made._swarm._ring.shape == (200, 31)
     assert made._history.shape == (1, 200, 30, 6)

@@ -6,7 +6,7 @@ from components.algorithms import ALGORITHMS
 from components.models import MODELS
 
 CONFIGS = {name: kind.config for name, kind in MODELS.items()} | {
-    name: module.Config for name, module in ALGORITHMS.items()
+    name: algorithm.config for name, algorithm in ALGORITHMS.items()
 }
 
 

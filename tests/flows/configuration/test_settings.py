@@ -32,7 +32,7 @@ def documented(group: str, name: str) -> dict:
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_documented_defaults_of_algorithms_are_the_code_s(name: str, paper: Settings) -> None:
-    default = ALGORITHMS[name].Config()
+    default = ALGORITHMS[name].config()
     assert paper.algorithm[name] == default
     assert type(paper.algorithm[name]) is type(default)
     fields = dataclasses.asdict(default)

@@ -10,13 +10,8 @@ from torch import Tensor
 
 from components.algorithms.parts import pessimistic_mdp
 from components.algorithms.parts.advantages import discounted_returns, generalised_advantages
-from components.algorithms.parts.pessimistic_mdp import (
-    Detector,
-    Trajectories,
-    disagreement,
-    live_samples,
-    with_halt,
-)
+from components.algorithms.parts.halting import Trajectories, live_samples, with_halt
+from components.algorithms.parts.pessimistic_mdp import Detector, disagreement
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
+from components.algorithms.parts.learner import PolicyLearner
 from components.algorithms.parts.training import snapshot_steps, train_policies
 from components.policies.policy import Policy
 from components.training.loop import Curves
-from tests.components.algorithms.stacks import config, learner
+from tests.components.algorithms.stacks import learner
 from tests.components.interruption import KilledError, dying, lanes
 from tests.components.synthetic import make_log, policy_card
 
@@ -32,23 +33,22 @@ def train(
     made = learner(name, logs, [SEEDS[member] for member in members])
     made.update = dying(made.update, death)
     return train_policies(
-        name,
+        ALGORITHMS[name],
         made,
         logs,
         list(members),
         updates=UPDATES,
         snapshots=SNAPSHOTS,
-        takes_lambda=ALGORITHMS[name].TAKES_LAMBDA,
-        preparation=preparation(name),
         work=work,
         progress=progress,
         save_every=0.0,
     )
 
 
-def preparation(name: str) -> int:
+def pretraining(name: str) -> int:
     """Updates before the budget, of learners that have some."""
-    return getattr(config(name), "preparation", 0)
+    made: PolicyLearner = learner(name, [LOGS["a"]], [0])
+    return made.pretraining
 
 
 def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
@@ -63,10 +63,10 @@ def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
 def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
     policies, curves = train(name, tmp_path)
     assert [p.card.dataset for p in policies] == ["toy", "toy", "other"]
-    steps = tuple(preparation(name) + step for step in (6, 12, 18, 24, 30))
+    steps = tuple(pretraining(name) + step for step in (6, 12, 18, 24, 30))
     assert [p.card.steps for p in policies] == [steps] * 3
     assert {p.lanes for p in policies} == {SNAPSHOTS}
-    assert {p.card.takes_lambda for p in policies} == {ALGORITHMS[name].TAKES_LAMBDA}
+    assert {p.card.takes_lambda for p in policies} == {ALGORITHMS[name].takes_proximity}
     weight = policies[0].layers[0][0]
     assert not any(torch.equal(weight[n], weight[n + 1]) for n in range(SNAPSHOTS - 1))
     for steps, _ in curves.of_lane(0).values():
@@ -91,7 +91,7 @@ def test_interrupted_equals_uninterrupted(name: str, deaths: list[int], tmp_path
 def test_progress_is_that_of_the_budget(name: str, tmp_path: Path) -> None:
     told: list[float] = []
     train(name, tmp_path, progress=told.append)
-    before, counted = told[: preparation(name)], told[preparation(name) : -1]
+    before, counted = told[: pretraining(name)], told[pretraining(name) : -1]
     assert before == [0.0] * len(before)
     assert counted == pytest.approx([(step + 1) / UPDATES for step in range(UPDATES)])
     assert told[-1] == 1.0
@@ -112,7 +112,7 @@ def test_part_of_the_lanes_is_finished_without_the_rest(name: str, tmp_path: Pat
             # ten updates with fewer lanes: float32 sums in another order
             torch.testing.assert_close(w[3:], v[3:], rtol=1e-3, atol=1e-5)
     last = [steps[-1] for steps, _ in curves.of_lane(0).values()]
-    assert max(last) == UPDATES + preparation(name)
+    assert max(last) == UPDATES + pretraining(name)
 
 
 @every_algorithm
@@ -127,7 +127,8 @@ class Breaking:
 
     def __init__(self, made: Any, at: int) -> None:
         self.lanes, self._made, self._at = made.lanes, made, at
-        self.policy, self.state_dict = made.policy, made.state_dict
+        self.policy, self.act, self.pretraining = made.policy, made.act, made.pretraining
+        self.state_dict = made.state_dict
         self.load_state_dict = made.load_state_dict
 
     def update(self, step: int) -> dict[str, torch.Tensor]:
@@ -150,13 +151,12 @@ def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
     expected, _ = train("ddpg", tmp_path / "whole")
     (tmp_path / "work").mkdir()
     policies, curves = train_policies(
-        "ddpg",
+        ALGORITHMS["ddpg"],
         Breaking(made, at),
         logs,
         list("abc"),
         updates=UPDATES,
         snapshots=SNAPSHOTS,
-        takes_lambda=False,
         work=tmp_path / "work",
         progress=lambda fraction: None,
     )

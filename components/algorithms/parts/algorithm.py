@@ -1,0 +1,69 @@
+"""What an algorithm is to plans, tasks and tests: one record, with which its module ends."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
+
+__all__ = ["Algorithm", "PolicyConfig", "per_transition", "per_virtual_step"]
+
+
+class PolicyConfig(Protocol):
+    """What the settings of all algorithms have in common."""
+
+    @property
+    def updates(self) -> int:
+        """Budget, in updates."""
+
+
+C = TypeVar("C", bound=PolicyConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm(Generic[C]):
+    """An algorithm.
+
+    Attributes:
+        name: In configurations, random streams, plans and tables.
+        config: Its settings with their defaults, a frozen dataclass.
+        learner: ``learner(config, inputs)``: a fresh stack of learners.
+        version: To be raised whenever a change of its code can change results; part of node keys.
+        cost: Core-seconds of one seed at given settings, measured roughly on a machine of 2026.
+            Costs order the work and open the estimate, until finished nodes' times replace them.
+        needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
+        takes_proximity: Whether lambda is an input of its policies.
+        frame_epsilon: Added to every feature's deviation when frames are scaled.
+    """
+
+    name: str
+    config: type[C]
+    learner: Callable[[C, LearnerInputs], PolicyLearner]
+    version: int
+    cost: Callable[[C], float]
+    needs: tuple[str, ...] = ()
+    takes_proximity: bool = False
+    frame_epsilon: float = 0.0
+
+
+class _Batched(PolicyConfig, Protocol):
+    @property
+    def batch(self) -> int: ...
+
+
+class _Virtual(PolicyConfig, Protocol):
+    @property
+    def trajectories(self) -> int: ...
+
+    @property
+    def horizon(self) -> int: ...
+
+
+def per_transition(seconds: float) -> Callable[[_Batched], float]:
+    """The cost of learners on batches, from core-seconds for each transition of a batch."""
+    return lambda config: seconds * float(config.updates * config.batch)
+
+
+def per_virtual_step(seconds: float) -> Callable[[_Virtual], float]:
+    """The cost of learners on virtual trajectories, from core-seconds for each of their steps."""
+    return lambda config: seconds * float(config.updates * config.trajectories * config.horizon)
