@@ -21,7 +21,8 @@ from components.core.random_streams import lane_generator
 from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.mujoco.specifications import simulator_version
 from components.environments.systems import make_batch
-from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import PolicyReturns, evaluate_policies
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
 
@@ -29,6 +30,7 @@ __all__ = ["evaluated", "plain_returns", "report", "untrained_policy"]
 
 _ROBOTS = (SWIMMER_ID, HOPPER_ID, WALKER2D_ID)
 _STREAM = 0
+_DISCOUNT = 0.99
 _PLAIN = "Python loop over one environment"
 _THREADS = (1, 2)
 
@@ -53,7 +55,7 @@ def untrained_policy(name: str, hidden: tuple[int, ...] = (256, 256)) -> Policy:
 
 @torch.inference_mode()
 def plain_returns(
-    policy: Policy, name: str, episodes: int, config: EvaluationConfig
+    policy: Policy, name: str, episodes: int, protocol: EvaluationProtocol
 ) -> tuple[list[float], int]:
     """Discounted return of every episode, one robot and one state at a time; and their steps."""
     environment = gym.make(name, disable_env_checker=True)
@@ -62,14 +64,14 @@ def plain_returns(
     for _ in range(episodes):
         frame, _ = environment.reset()
         total = 0.0
-        for t in range(config.horizon):
+        for t in range(protocol.horizon):
             x = policy.frames.apply(torch.from_numpy(frame).float()[None])
             for weight, bias in policy.layers[:-1]:
                 x = torch.relu(x @ weight[0] + bias[0])
             weight, bias = policy.layers[-1]
             action = torch.tanh(x @ weight[0] + bias[0])
             frame, reward, terminated, *_ = environment.step(action[0].double().numpy())
-            total += config.discount**t * float(reward)
+            total += _DISCOUNT**t * float(reward)
             steps += 1
             if terminated:
                 break
@@ -77,20 +79,22 @@ def plain_returns(
     return returns, steps
 
 
-def evaluated(policy: Policy, name: str, config: EvaluationConfig, threads: int) -> PolicyReturns:
+def evaluated(
+    policy: Policy, name: str, protocol: EvaluationProtocol, threads: int
+) -> PolicyReturns:
     """The project's evaluation of the same policy from the same starts."""
     device = torch.device("cpu")
     [result] = evaluate_policies(
-        [policy], [policy], name, {}, config, [_STREAM], device, threads=threads
+        [policy], [policy], name, {}, protocol, _DISCOUNT, [_STREAM], device, threads=threads
     )
     return result
 
 
-def _steps(policy: Policy, name: str, config: EvaluationConfig) -> int:
+def _steps(policy: Policy, name: str, protocol: EvaluationProtocol) -> int:
     """Environment steps until falls in the project's evaluation of this policy."""
-    robots = make_batch(name, config.trajectories)
+    robots = make_batch(name, protocol.trajectories)
     frames, steps = robots.reset(lane_generator(_STREAM)), 0
-    for _ in range(config.horizon):
+    for _ in range(protocol.horizon):
         steps += int(np.count_nonzero(~robots.terminated))
         actions = policy.act(torch.from_numpy(frames).float()[None, :, None])
         frames, _ = robots.step(actions[0].numpy())
@@ -99,16 +103,16 @@ def _steps(policy: Policy, name: str, config: EvaluationConfig) -> int:
 
 def _rates(name: str, copies: int, episodes: int, repetitions: int) -> dict[str, float]:
     """Environment steps per second of one robot, by program."""
-    config = EvaluationConfig(trajectories=copies, discount=0.99)
+    protocol = EvaluationProtocol(trajectories=copies)
     policy = untrained_policy(name)
     programs: dict[str, Callable[[], object]] = {
-        _PLAIN: lambda: plain_returns(policy, name, episodes, config)
+        _PLAIN: lambda: plain_returns(policy, name, episodes, protocol)
     }
-    counts = {_PLAIN: plain_returns(policy, name, episodes, config)[1]}
-    together = _steps(policy, name, config)
+    counts = {_PLAIN: plain_returns(policy, name, episodes, protocol)[1]}
+    together = _steps(policy, name, protocol)
     for threads in _THREADS:
         program = f"{copies} together, {threads} thread(s)"
-        programs[program] = partial(evaluated, policy, name, config, threads)
+        programs[program] = partial(evaluated, policy, name, protocol, threads)
         counts[program] = together
     seconds = median_seconds(programs, repetitions)
     return {program: counts[program] / seconds[program] for program in programs}

@@ -10,6 +10,7 @@ import torch
 from rich.console import Console
 
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
+from flows.configuration.shown import settings_yaml
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.ray import RayExecutor
@@ -43,7 +44,7 @@ def main(
     body: Callable[[Settings], int],
     aliases: Mapping[str, str] = ALIASES,
 ) -> None:
-    """Run a door with the settings of conf/ and exit, see `run_door`.
+    """Run a door with checked settings, or show them, and exit, see `run_door`.
 
     Args:
         door: Its name.
@@ -51,7 +52,14 @@ def main(
         body: Its work.
         aliases: Short keys of its command line and what they stand for.
     """
-    run_door(door, help_text, lambda words: load_settings(words, aliases), body)
+
+    def shown_or_done(settings: Settings) -> int:
+        if not settings.show_settings:
+            return body(settings)
+        print(settings_yaml(settings), end="")
+        return 0
+
+    run_door(door, help_text, lambda words: load_settings(words, aliases), shown_or_done)
 
 
 def run_door(

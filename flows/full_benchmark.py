@@ -35,14 +35,15 @@ report. Everything finished is kept under mlruns/ and reused; the same command c
 
   profile=smoke|quick|paper    budgets and selection; paper is the default
   datasets=[a,b]               names in conf/dataset, or all
-  algorithms=[a,b]             names in conf/algorithm, or all
+  algorithms=[a,b]             names in components/algorithms, or all
   seeds=[0,1]                  whole numbers
   models=tuned                 fit models with the settings that flows.tune_models has found
   models.per_seed=true         one fit of every model per policy seed instead of one for all
   mopo_penalties=sweep         one MOPO policy per penalty 0, 0.1 ... 2.5; or a list of numbers
   dry_run=true                 show the plan and stop
+  show_settings=true           print every setting and stop
   sweep=NAME                   name of the sweep and its report folder
-  algorithm.NAME.KEY=VALUE     any setting of conf/, e.g. algorithm.lion.updates=200
+  algorithm.NAME.KEY=VALUE     any setting, e.g. algorithm.lion.updates=200
 """
 
 

@@ -25,6 +25,7 @@ Generate datasets and export them for Minari. No argument makes all nineteen.
   data.trajectories=100 data.steps=1000     of the Industrial Benchmark
   data.transitions=1000000                  of a robot
   dry_run=true        show what would be made and stop
+  show_settings=true  print every setting and stop
 """
 
 

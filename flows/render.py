@@ -16,8 +16,7 @@ from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
 from components.policies.policy import Policy
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, build_config
-from flows.configuration.sections import Strict
+from flows.configuration.checking import SettingsError, Strict, build_config
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 

@@ -5,18 +5,15 @@ seeds of a robot train side by side as lanes of one program; the best of them, b
 during training, becomes the expert.
 """
 
-from dataclasses import asdict
 from pathlib import Path
 
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from flows.command_line import Metrics, main, run_sweep
 from flows.configuration.settings import Settings
-from flows.pipeline.plan import Node, Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.planning.benchmark import plain, sweep_name
-
-__all__ = ["expert_plan"]
+from flows.planning.benchmark import sweep_name
+from flows.planning.experts import expert_plan
 
 HELP = """\
 usage: python -m flows.train_experts [KEY=VALUE ...]
@@ -31,6 +28,7 @@ robot together, for hours. The same command continues a training, also a killed 
   install=true                 put the experts where dataset generation looks for them
   experts.training.KEY=VALUE   any other setting, e.g. experts.training.exploration=0.2
   profile=smoke                a training of seconds, for tests
+  show_settings=true           print every setting and stop
   dry_run=true                 show the plan and stop
 """
 
@@ -41,49 +39,6 @@ ALIASES = {
     "install": "experts.install",
     "steps": "experts.training.steps",
 }
-
-COMPONENTS = {"expert_training": 1, "expert_choice": 2}
-"""The components and the versions of their code; raise one when its results change."""
-
-_STEP_COST = 3.5e-3  # core-seconds per environment step and update of one seed
-
-
-def expert_plan(settings: Settings) -> Plan:
-    """Training of every robot and seed, and the choice of a seed per robot."""
-    experts = settings.experts
-    nodes = []
-    for robot in experts.robots:
-        shared = {
-            "robot": robot,
-            "physics": experts.physics,
-            "training": plain(asdict(experts.training)),
-        }
-        trained = {
-            f"seed{seed}": Node(
-                component="expert_training",
-                name=f"expert/{robot}/seed{seed}",
-                task="flows.tasks.experts:train_expert",
-                version=COMPONENTS["expert_training"],
-                config={**shared, "seed": seed},
-                tags={"robot": robot, "seed": str(seed)},
-                lanes=f"expert/{robot}",
-                cost=_STEP_COST * experts.training.steps,
-            )
-            for seed in experts.seeds
-        }
-        nodes.append(
-            Node(
-                component="expert_choice",
-                name=f"expert/{robot}",
-                task="flows.tasks.experts:choose_expert",
-                version=COMPONENTS["expert_choice"],
-                config={**shared, "seeds": sorted(experts.seeds), "episodes": experts.episodes},
-                inputs=trained,
-                tags={"robot": robot},
-                cost=1e-4 * experts.episodes * experts.training.horizon,
-            )
-        )
-    return Plan(nodes)
 
 
 def _run(settings: Settings) -> int:

@@ -35,12 +35,13 @@ default configuration. Everything is kept under mlruns/; the same command contin
 killed one, and a larger number of trials extends it.
 
   datasets=[a,b]               names in conf/dataset, or all
-  models=[a,b]                 names in conf/model, or all; recurrent_ensemble is the default
+  models=[a,b]                 names in components/models, or all; recurrent_ensemble is the default
   trials=30                    per dataset and model
   model.NAME.KEY=VALUE         where the search of a model starts, e.g. model.action_vae.epochs=20
   models.folder=conf/tuned     where the winners are written, as DATASET/MODEL.yaml
   profile=smoke|quick|paper    budgets of the fits and selection of datasets; paper is the default
   dry_run=true                 show what would be searched and stop
+  show_settings=true           print every setting and stop
 
 Use the winners:  python -m flows.full_benchmark models=tuned
 Look at a search: pip install optuna-dashboard, then optuna-dashboard mlruns/optuna/journal.log;

@@ -31,7 +31,7 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.sources.catalogue import DATASETS, generate
 from components.environments import HOPPER_ID
-from components.evaluation.real import EvaluationConfig
+from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from components.models.transition.model_environment import DynamicsSpecification
@@ -70,13 +70,13 @@ def test_robots_table() -> None:
 
 def test_both_sides_of_the_robots_benchmark_earn_the_same() -> None:
     policy = robots.untrained_policy(HOPPER_ID, hidden=(8,))
-    config = EvaluationConfig(trajectories=4, horizon=60, discount=0.99)
-    plain, steps = robots.plain_returns(policy, HOPPER_ID, 4, config)
-    together = robots.evaluated(policy, HOPPER_ID, config, threads=2).returns[0, 0]
+    protocol = EvaluationProtocol(trajectories=4, horizon=60)
+    plain, steps = robots.plain_returns(policy, HOPPER_ID, 4, protocol)
+    together = robots.evaluated(policy, HOPPER_ID, protocol, threads=2).returns[0, 0]
     # float32 sums in another order, over up to sixty steps of contact
     np.testing.assert_allclose(together, plain, rtol=1e-3)
     assert steps < 4 * 60, "some episodes end in a fall"
-    assert robots._steps(policy, HOPPER_ID, config) == steps
+    assert robots._steps(policy, HOPPER_ID, protocol) == steps
 
 
 def test_the_runs_of_a_comparison_take_turns() -> None:

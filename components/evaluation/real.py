@@ -19,39 +19,10 @@ from torch import Tensor
 from components.core.random_streams import lane_generator, lane_key
 from components.environments.frame_history import FrameHistory
 from components.environments.systems import make_batch
+from components.evaluation.protocol import EvaluationProtocol
 from components.policies.policy import Policy
 
-__all__ = ["EvaluationConfig", "PolicyReturns", "evaluate_policies"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationConfig:
-    """The protocol (thesis 5.1.2; details in the README)."""
-
-    trajectories: int = 10  # real trajectories per policy and lambda
-    horizon: int = 100  # steps
-    discount: float = 0.97  # gamma of the reported return
-    lambda_step: float = 0.05  # grid of lambda, from 0 to 1
-
-    def __post_init__(self) -> None:
-        """Reject values outside their range.
-
-        Raises:
-            ValueError: Naming the field and its range.
-        """
-        if self.trajectories < 1 or self.horizon < 1:
-            raise ValueError("trajectories and horizon must be at least 1.")
-        if not 0 < self.discount <= 1:
-            raise ValueError(f"discount must lie in (0, 1], got {self.discount}.")
-        step = self.lambda_step
-        if not 0 < step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
-            raise ValueError(f"lambda_step must divide 1, got {step}.")
-
-    @property
-    def lambdas(self) -> tuple[float, ...]:
-        """The grid 0, step, ..., 1."""
-        count = round(1 / self.lambda_step)
-        return tuple(n / count for n in range(count + 1))
+__all__ = ["PolicyReturns", "evaluate_policies"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +46,8 @@ def evaluate_policies(
     behaviours: Sequence[Policy],
     environment: str,
     parameters: Mapping[str, Any],
-    config: EvaluationConfig,
+    protocol: EvaluationProtocol,
+    discount: float,
     keys: Sequence[int],
     device: torch.device,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -88,7 +60,8 @@ def evaluate_policies(
         behaviours: For each stack the behaviour policy to measure the distance to.
         environment: Gymnasium id of the real system.
         parameters: Its parameters, such as the setpoint.
-        config: The protocol.
+        protocol: How they are judged.
+        discount: Gamma of the reported return, above 0 and at most 1.
         keys: One random stream per stack.
         device: Where the policies act.
         progress: Told the finished fraction.
@@ -96,10 +69,15 @@ def evaluate_policies(
 
     Returns:
         One result per stack.
+
+    Raises:
+        ValueError: The discount is outside its range.
     """
+    if not 0 < discount <= 1:
+        raise ValueError(f"discount must lie in (0, 1], got {discount}.")
     takes_proximity = policies[0].card.takes_lambda
-    grid = config.lambdas if takes_proximity else (float("nan"),)
-    snapshots, repeats = policies[0].lanes, config.trajectories
+    grid = protocol.proximities if takes_proximity else (float("nan"),)
+    snapshots, repeats = policies[0].lanes, protocol.trajectories
     per_policy = len(grid) * repeats
     actors = Policy.concatenate(policies[0].card, policies).to(device)
     clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
@@ -117,7 +95,7 @@ def evaluate_policies(
     drawn = (snapshots, per_policy, actors.card.candidates, actors.card.noise)
     returns, distance, visited = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     running = np.ones(shape, dtype=np.bool_)
-    for t in range(config.horizon):
+    for t in range(protocol.horizon):
         windows = torch.from_numpy(np.stack([h.window for h in histories])).float().to(device)
         seen = windows.view(actors.lanes, per_policy, *windows.shape[2:])
         noise = None
@@ -132,10 +110,10 @@ def evaluate_policies(
         for number, (machine, history) in enumerate(zip(machines, histories, strict=True)):
             frames, rewards = machine.step(chosen[number])
             history.push(frames)
-            returns[number] += config.discount**t * np.where(running[number], rewards, 0.0)
+            returns[number] += discount**t * np.where(running[number], rewards, 0.0)
             running[number] &= ~machine.terminated
         over = not running.any()
-        progress(1.0 if over else (t + 1) / config.horizon)
+        progress(1.0 if over else (t + 1) / protocol.horizon)
         if over:
             break
     by_policy = (len(policies), snapshots, len(grid), repeats)

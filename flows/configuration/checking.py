@@ -1,74 +1,115 @@
-"""Configuration objects from plain values: types and ranges checked, errors in one sentence."""
+"""Plain values to checked objects: what does not fit a schema ends in one sentence.
+
+A schema is a pydantic model, a typed dictionary or a plain dataclass of a component. All are held
+to the same rules: no unknown keys, no infinite numbers, no truth value where a number belongs.
+"""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, get_type_hints
+import difflib
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass as checked_dataclass
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic_core import ErrorDetails
+from typing_extensions import get_type_hints, is_typeddict
 
-__all__ = ["SettingsError", "build_config", "check_group", "sentence"]
+__all__ = ["SettingsError", "Strict", "build_config", "first_line", "hint"]
+
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+_NO_GROUP = ("model_type", "dict_type", "dataclass_type")
 
 
 class SettingsError(ValueError):
     """Something on the command line or in conf/ is wrong; the message is one sentence."""
 
 
-def check_group(path: str, fields: Any) -> None:
-    """Refuse a value where a group of keys belongs.
+class Strict(BaseModel):
+    """A group of settings: it knows its keys, takes no others and does not change."""
 
-    Raises:
-        SettingsError: It is none.
-    """
-    if not isinstance(fields, Mapping):
-        raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def build_config(kind: type, path: str, fields: Mapping[str, Any], *, exact: bool = False) -> Any:
-    """A configuration object, its types and ranges checked.
+def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> Any:
+    """A checked object.
 
     Args:
-        kind: Its class, a dataclass or a pydantic model.
-        path: Where the fields come from, for messages.
-        fields: Values by name.
-        exact: Whether every field must be given.
+        kind: Its schema.
+        path: Where the fields come from, for messages; may be empty.
+        fields: Values by key.
+        exact: Whether every key must be given.
 
     Raises:
-        SettingsError: One sentence that names the field.
+        SettingsError: One sentence that names the key.
     """
-    check_group(path, fields)
-    if issubclass(kind, BaseModel):
-        declared = {f.alias or name: f.annotation for name, f in kind.model_fields.items()}
-    else:
-        declared = get_type_hints(kind)
-        declared = {field.name: declared[field.name] for field in dataclasses.fields(kind)}
-    names = list(declared)
-    for name, value in fields.items():
-        # pydantic would take it for a number
-        if isinstance(value, bool) and declared.get(name) is not bool:
-            raise SettingsError(f"{path}.{name}={str(value).lower()}: Input should be no boolean.")
-    missing = [name for name in names if name not in fields]
+    missing = [name for name in _keys(kind) if isinstance(fields, Mapping) and name not in fields]
     if exact and missing:
         raise SettingsError(f"{path} lacks {', '.join(missing)}.")
+    _refuse_booleans(kind, path, fields)
     try:
-        if issubclass(kind, BaseModel):
-            return kind(**fields)
-        config = ConfigDict(extra="forbid", allow_inf_nan=False)
-        strict = checked_dataclass(kind, config=config, frozen=True)
-        checked = TypeAdapter(strict).validate_python(dict(fields))
+        return _holder(kind)(held=fields).held  # type: ignore[attr-defined]
     except ValidationError as error:
-        raise SettingsError(sentence(error, path, names)) from error
-    # Hand on the component's own class: the wrapper is for checking only.
-    return kind(**{name: getattr(checked, name) for name in names})
+        raise SettingsError(_sentence(kind, path, error.errors()[0])) from error
 
 
-def sentence(error: ValidationError, path: str, names: Sequence[str] = ()) -> str:
-    """What is wrong, in one sentence; ``names`` are the valid keys."""
-    first = error.errors()[0]
-    where = ".".join([path, *map(str, first["loc"])] if path else map(str, first["loc"]))
-    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"Unknown key {where!r}; valid keys there: {', '.join(names)}."
-    reason = first["msg"].removeprefix("Value error, ")
-    if not first["loc"] or first["type"] == "value_error":
+@cache
+def _holder(kind: Any) -> type[Strict]:
+    """A model around a schema: plain dataclasses take its rules over and stay what they are."""
+    return create_model("Holder", __base__=Strict, held=(kind, ...))
+
+
+def _keys(kind: Any) -> dict[str, Any]:
+    """The keys of a schema and the types of their values; empty for any other type."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return {field.alias or n: field.annotation for n, field in kind.model_fields.items()}
+    if not is_typeddict(kind) and not dataclasses.is_dataclass(kind):
+        return {}
+    types = get_type_hints(kind)
+    if dataclasses.is_dataclass(kind):
+        return {field.name: types[field.name] for field in dataclasses.fields(kind)}
+    return types
+
+
+def _refuse_booleans(kind: Any, path: str, fields: Any) -> None:
+    """Pydantic would take them for the numbers 0 and 1."""
+    keys = _keys(kind)
+    for name, value in fields.items() if isinstance(fields, Mapping) else ():
+        where = f"{path}.{name}" if path else str(name)
+        if isinstance(value, bool) and keys.get(name, bool) is not bool:
+            raise SettingsError(f"{where}={str(value).lower()}: Input should be no boolean.")
+        _refuse_booleans(keys.get(name), where, value)
+
+
+def _sentence(kind: Any, path: str, error: ErrorDetails) -> str:
+    """What pydantic found wrong, for people."""
+    cause = error.get("ctx", {}).get("error")
+    if isinstance(cause, SettingsError):
+        return str(cause)
+    _, *steps = error["loc"]
+    where = ".".join([*([path] if path else []), *map(str, steps)])
+    if error["type"] in _UNKNOWN:
+        for step in steps[:-1]:
+            kind = _keys(kind).get(str(step))
+        valid = list(_keys(kind))
+        listing = f"valid keys there: {', '.join(valid)}."
+        return f"Unknown key {where!r}; {listing}{hint(str(steps[-1]), valid)}"
+    if error["type"] in _NO_GROUP:
+        return f"{where}={error['input']!r} must be a group of keys, e.g. {where}.KEY=VALUE."
+    if error["type"] == "missing":
+        return f"{where} is missing; give it a value."
+    if error["type"] == "value_error":
+        reason = error["msg"].removeprefix("Value error, ")
         return f"{where}: {reason}" if where else reason
-    return f"{where}={first['input']!r}: {reason}."
+    return f"{where}={error['input']!r}: {error['msg']}."
+
+
+def hint(word: str, valid: Iterable[str]) -> str:
+    """A further sentence that names the most similar valid word; empty if none is."""
+    close = difflib.get_close_matches(word, list(valid), n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def first_line(error: Exception) -> str:
+    """What an error says first; others say much more than people want to read."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__

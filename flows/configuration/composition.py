@@ -1,78 +1,68 @@
-"""The files of conf/, a profile and the words of a command line, joined layer by layer.
+"""Defaults, the files of conf/ and a command line, joined layer by layer.
 
-Hydra's compose API reads conf/, its grammar the words. What joins them knows no types: settings
-are checked afterwards, by :mod:`flows.configuration.settings`.
+This knows no types: what is joined is checked afterwards, by :mod:`flows.configuration.schema`.
 """
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from pydantic import Field
 
-from flows.configuration.checking import SettingsError
+from flows.configuration.checking import SettingsError, Strict, build_config, hint
+from flows.configuration.defaults import component_defaults
+from flows.configuration.files import CONF, names_in, read_file, read_folder
+from flows.configuration.words import modernise
 
-__all__ = [
-    "CONF",
-    "GROUPS",
-    "check_keys",
-    "compose_profile",
-    "first_line",
-    "hint",
-    "merge",
-    "names_in",
-    "parse_overrides",
-    "special_settings",
-]
-
-CONF = Path(__file__).resolve().parents[2] / "conf"
-
-GROUPS = ("dataset", "domain", "algorithm", "model")
-"""Folders of conf/ that are read whole."""
+__all__ = ["DEVIATIONS", "base_layers", "joined", "special_settings"]
 
 
-def names_in(group: str) -> list[str]:
-    """The files of a folder of conf/, by name."""
-    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+class Deviations(Strict):
+    """What a domain or a dataset wants otherwise than the rest.
+
+    Attributes:
+        algorithm: Settings by algorithm.
+        model: Settings by model.
+        model_for: By algorithm, settings of the models that it uses.
+    """
+
+    algorithm: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    model: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    model_for: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
 
 
-def hint(word: str, valid: Iterable[str]) -> str:
-    """A further sentence that names the most similar valid word; empty if none is."""
-    close = difflib.get_close_matches(word, list(valid), n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
+DEVIATIONS = tuple(Deviations.model_fields)
+"""Keys of a dataset's file that say nothing about the data."""
 
 
 @cache
-def compose_profile(profile: str) -> tuple[DictConfig, DictConfig]:
-    """The groups of conf/, and what comes on top of them; not to be changed by the caller.
+def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
+    """What holds before the command line; not to be changed by the caller.
 
-    The groups come first, so that the profile's budgets win over their defaults.
+    Returns:
+        Defaults of components with the datasets and domains of conf/; and what wins over them:
+        conf/config.yaml with the profile.
+
+    Raises:
+        SettingsError: There is no such profile, or a file of conf/ is wrong.
     """
-    joined = [f"+{group}=[{','.join(names_in(group))}]" for group in GROUPS]
-    try:
-        with initialize_config_dir(str(CONF), version_base="1.3"):
-            groups = compose("groups", overrides=joined)
-            chosen = compose("config", overrides=[f"profile={profile}"])
-            merge(groups, chosen)  # a profile with an unknown key ends here
-            return groups, chosen
-    except (HydraException, OmegaConfBaseException) as error:
-        raise SettingsError(first_line(error)) from error
+    valid = names_in(CONF / "profile")
+    if profile not in valid:
+        raise SettingsError(
+            f"Unknown profile {profile!r}; valid ones are {', '.join(valid)}."
+            + hint(profile, valid)
+        )
+    groups = {group: read_folder(CONF / group) for group in ("dataset", "domain")}
+    chosen = joined(
+        [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
+    )
+    return OmegaConf.create(component_defaults() | groups), modernise(chosen)
 
 
-def merge(*layers: Any) -> DictConfig:
-    """Later layers win; groups of the first one take new keys at their top only."""
-    first, *rest = layers
-    base = first.copy()
-    OmegaConf.set_struct(base, False)
-    merged: DictConfig = OmegaConf.merge(base, *rest)  # type: ignore[assignment]
-    OmegaConf.set_struct(merged, True)
-    return merged
+def joined(layers: Sequence[DictConfig]) -> DictConfig:
+    """One configuration of several; later layers win."""
+    return OmegaConf.merge(*layers)  # type: ignore[return-value]
 
 
 def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
@@ -86,8 +76,11 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
         the models that it wants otherwise.
 
     Raises:
-        SettingsError: A dataset names a domain that has no file.
+        SettingsError: A dataset names a domain that has no file, or a domain or a dataset says
+            something about algorithms and models that is no group of keys.
     """
+    whole: Any = OmegaConf.to_container(joined(layers), resolve=True)
+    _check_deviations(whole)
     domains = layers[0].domain
     found = {}
     for name, dataset in layers[0].dataset.items():
@@ -100,8 +93,8 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
                 f"{', '.join(domains)}."
             )
         places = ((), ("domain", domain), ("dataset", name))
-        own = {group: _joined(layers, places, group) for group in ("algorithm", "model")}
-        wanted = _joined(layers, places, "model_for")
+        own = {group: _said_of(group, layers, places) for group in ("algorithm", "model")}
+        wanted = _said_of("model_for", layers, places)
         own["model_for"] = {
             algorithm: {model: own["model"].get(model, {}) | fields for model, fields in of.items()}
             for algorithm, of in wanted.items()
@@ -110,13 +103,29 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _joined(
-    layers: Sequence[DictConfig], places: Sequence[tuple[str, ...]], group: str
+def _check_deviations(whole: Mapping[str, Any]) -> None:
+    """See that domains and datasets say things in groups of known keys."""
+    if not isinstance(whole["domain"], Mapping):
+        raise SettingsError(
+            f"domain={whole['domain']!r} must be a group of keys, e.g. domain.KEY=VALUE."
+        )
+    for name, fields in whole["domain"].items():
+        build_config(Deviations, f"domain.{name}", fields)
+    files = whole["dataset"] if isinstance(whole["dataset"], Mapping) else {}
+    for name, fields in files.items():
+        if isinstance(fields, Mapping):
+            own = {key: value for key, value in fields.items() if key in DEVIATIONS}
+            build_config(Deviations, f"dataset.{name}", own)
+
+
+def _said_of(
+    group: str, layers: Sequence[DictConfig], places: Sequence[tuple[str, ...]]
 ) -> dict[str, Any]:
     """What the layers say of a group, at all places of a layer before the next layer's."""
-    said = [n for layer in layers for p in places if (n := _node(layer, (*p, group))) is not None]
-    joined: Any = OmegaConf.to_container(OmegaConf.merge({}, *said), resolve=True)
-    return dict(joined)
+    said = [_node(layer, (*place, group)) for layer in layers for place in places]
+    merged = OmegaConf.merge({}, *(node for node in said if isinstance(node, DictConfig)))
+    plain: Any = OmegaConf.to_container(merged, resolve=True)
+    return dict(plain)
 
 
 def _node(layer: Any, path: Sequence[str]) -> Any:
@@ -124,50 +133,3 @@ def _node(layer: Any, path: Sequence[str]) -> Any:
     for part in path:
         layer = layer.get(part) if isinstance(layer, DictConfig) else None
     return layer
-
-
-def parse_overrides(overrides: Sequence[str]) -> DictConfig:
-    """Values of overrides by Hydra's grammar, as a nested configuration."""
-    parsed = OmegaConf.create({})
-    parser = OverridesParser.create()
-    for word in overrides:
-        try:
-            override = parser.parse_override(word)
-        except HydraException as error:
-            raise SettingsError(
-                f"{word!r} cannot be read; write key=value with lists as [a,b]."
-            ) from error
-        if override.is_sweep_override():
-            raise SettingsError(
-                f"{override.input_line!r} lists values without brackets; write "
-                f"{override.key_or_group}=[...]."
-            )
-        OmegaConf.update(parsed, override.key_or_group, override.value(), force_add=True)
-    return parsed
-
-
-def first_line(error: Exception) -> str:
-    """What an error says first; others say much more than people want to read."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
-
-
-def check_keys(overrides: Sequence[str], base: DictConfig) -> None:
-    """Name the valid siblings of the first unknown key."""
-    for word in overrides:
-        if word.startswith("dataset."):
-            raise SettingsError(
-                f"{word!r}: dataset names hold dots, so their keys cannot be given here; edit "
-                "conf/dataset, or select with datasets=[...]."
-            )
-        node: Any = base
-        walked: list[str] = []
-        for part in word.partition("=")[0].split("."):
-            if not isinstance(node, DictConfig) or part not in node:
-                valid = sorted(map(str, node)) if isinstance(node, DictConfig) else []
-                place = f" in {'.'.join(walked)}" if walked else ""
-                listing = f"; valid keys{place}: {', '.join(valid)}" if valid else ""
-                unknown = ".".join([*walked, part])
-                raise SettingsError(f"Unknown key {unknown!r}{listing}.{hint(part, valid)}")
-            node = node[part]
-            walked.append(part)

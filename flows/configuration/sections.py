@@ -1,29 +1,97 @@
-"""The groups of conf/config.yaml: their keys, types and ranges."""
+"""The groups of the settings: their keys, types and ranges."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BeforeValidator, Field
+from typing_extensions import TypedDict
 
+from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
+from flows.configuration.checking import SettingsError, Strict, hint
+from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
 
 __all__ = [
     "AggregationSettings",
+    "AlgorithmConfigs",
     "DataSettings",
-    "EvaluationSettings",
     "ExpertsSettings",
+    "ModelConfigs",
     "ModelsSettings",
+    "OwnSettings",
     "RunnerSettings",
-    "Strict",
+    "Seeds",
     "TrainingSettings",
     "TuningSettings",
+    "selected",
+    "selection",
 ]
 
 
-class Strict(BaseModel):
-    """Knows its keys and takes no others."""
+def selected(group: str, chosen: Any, valid: Sequence[str]) -> list[str]:
+    """Chosen names; `all` stands for every valid one.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    Raises:
+        SettingsError: No name, an unknown one, or one twice.
+    """
+    if chosen == "all":
+        return list(valid)
+    names = [str(name) for name in (chosen if isinstance(chosen, list) else [chosen])]
+    if not names:
+        raise SettingsError(f"{group}s=[] selects nothing; valid ones are {', '.join(valid)}.")
+    for name in names:
+        if name not in valid:
+            raise SettingsError(
+                f"Unknown {group} {name!r}; valid ones are {', '.join(valid)}, or all."
+                + hint(name, valid)
+            )
+    if len(set(names)) != len(names):
+        raise SettingsError(f"{group}s={names} names one twice.")
+    return names
+
+
+def selection(group: str, valid: Iterable[str]) -> BeforeValidator:
+    """Makes a list of names of what `selected` takes."""
+    names = list(valid)
+    return BeforeValidator(lambda chosen: selected(group, chosen, names))
+
+
+def _different_seeds(chosen: Any) -> list[int]:
+    seeds = chosen if isinstance(chosen, list) else [chosen]
+    if not seeds or len(set(map(str, seeds))) != len(seeds):
+        raise SettingsError(f"seeds={seeds} must be a list of different whole numbers.")
+    if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in seeds):
+        raise SettingsError(f"seeds={seeds} must hold whole numbers from 0.")
+    return seeds
+
+
+Seeds = Annotated[tuple[int, ...], BeforeValidator(_different_seeds)]
+
+AlgorithmConfigs = TypedDict("AlgorithmConfigs", ALGORITHM_CONFIGS)  # type: ignore[misc]
+"""A configuration object of every algorithm."""
+
+ModelConfigs = TypedDict("ModelConfigs", MODEL_CONFIGS)  # type: ignore[misc]
+"""A configuration object of every supervised model."""
+
+_SomeModels = TypedDict("_SomeModels", MODEL_CONFIGS, total=False)  # type: ignore[misc]
+_ModelsOfSome = TypedDict(  # type: ignore[misc]
+    "_ModelsOfSome", dict.fromkeys(ALGORITHM_CONFIGS, _SomeModels), total=False
+)
+
+
+class OwnSettings(Strict):
+    """What holds on a dataset that wants something otherwise than the rest.
+
+    Attributes:
+        algorithm: Of every algorithm, as on other datasets or not.
+        model: Of every supervised model.
+        model_for: By algorithm, those of the models that it wants otherwise.
+    """
+
+    algorithm: AlgorithmConfigs
+    model: ModelConfigs
+    model_for: _ModelsOfSome
 
 
 class DataSettings(Strict):
@@ -41,14 +109,6 @@ class TrainingSettings(Strict):
     snapshots: int = Field(ge=1)
 
 
-class EvaluationSettings(Strict):
-    """The evaluation protocol; the discount belongs to the dataset."""
-
-    trajectories: int = Field(ge=1)
-    horizon: int = Field(ge=1)
-    lambda_step: float = Field(ge=0.01, le=1)
-
-
 class AggregationSettings(Strict):
     """Which policies enter the table."""
 
@@ -56,14 +116,10 @@ class AggregationSettings(Strict):
 
 
 class ExpertsSettings(Strict):
-    """Which experts are trained; how is in `training`, an `ExpertConfig`."""
+    """Which experts are trained, and how."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
-    )
-
-    robots: tuple[str, ...]
-    seeds: tuple[int, ...]
+    robots: Annotated[tuple[str, ...], selection("robot", ROBOTS)]
+    seeds: Seeds
     physics: Literal["v3", "v5"]
     episodes: int = Field(ge=1)
     install: bool
@@ -93,5 +149,5 @@ class ModelsSettings(Strict):
 class TuningSettings(Strict):
     """What a hyperparameter search searches, and how long."""
 
-    models: tuple[str, ...]
+    models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]
     trials: int = Field(ge=1)

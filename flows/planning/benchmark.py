@@ -160,9 +160,9 @@ def _policy_node(
 def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:
     dataset, algorithm = policy.tags["dataset"], variant.algorithm
     spec = settings.dataset[dataset]
-    protocol = settings.evaluation.model_dump() | {"discount": spec.discount}
+    protocol = settings.evaluation
     takes_proximity = ALGORITHMS[algorithm].takes_proximity
-    lambdas = round(1 / settings.evaluation.lambda_step) + 1 if takes_proximity else 1
+    proximities = len(protocol.proximities) if takes_proximity else 1
     return Node(
         component="evaluation",
         name=f"evaluate/{policy.name}",
@@ -171,13 +171,13 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
         config={
             "environment": spec.environment,
             "parameters": plain(spec.environment_parameters),
-            "evaluation": protocol,
+            "evaluation": protocol.record(spec.discount),
             "stream": [dataset, algorithm, policy.config["seed"]],
         },
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
         lanes=f"evaluate/{variant.label}/{dataset}",
-        cost=0.1 + 1e-3 * settings.training.snapshots * lambdas * settings.evaluation.trajectories,
+        cost=0.1 + 1e-3 * settings.training.snapshots * proximities * protocol.trajectories,
     )
 
 

@@ -1,4 +1,4 @@
-"""Which settings a model of a dataset gets: those of conf/model, or those a search has found."""
+"""Which settings a model of a dataset gets: its general ones, or those a search has found."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Any
 
 from components.models import MODELS
 from flows.configuration.checking import SettingsError, build_config
-from flows.configuration.composition import CONF
+from flows.configuration.files import CONF
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node
 from flows.tuning.tuned_file import read_tuned, tuned_path

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from components.core.random_streams import lane_key
-from components.evaluation.real import EvaluationConfig, evaluate_policies
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import evaluate_policies
 from components.policies.policy import Policy
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import inherit_datasets, percent, read_input, write_curves
@@ -17,14 +18,15 @@ __all__ = ["evaluate"]
 def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
     """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
     first = jobs[0].config
-    config = EvaluationConfig(**first["evaluation"])
+    protocol, discount = EvaluationProtocol.of_record(first["evaluation"])
     policies = [read_input(job, "policy", Policy.load, "policy") for job in jobs]
     results = evaluate_policies(
         policies,
         [read_input(job, "behaviour_policy", Policy.load, "model") for job in jobs],
         first["environment"],
         first["parameters"],
-        config,
+        protocol,
+        discount,
         [lane_key("evaluation", *job.config["stream"]) for job in jobs],
         torch.device(context.device),
         context.progress,

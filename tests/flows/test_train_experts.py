@@ -20,7 +20,8 @@ from flows.command_line import main
 from flows.configuration.settings import SettingsError, load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.task import Job, TaskContext, load_task
-from flows.train_experts import ALIASES, expert_plan
+from flows.planning.experts import expert_plan
+from flows.train_experts import ALIASES
 from tests.components.interruption import KilledError, dying
 
 WORDS = ("profile=smoke", "runner.executor=serial")

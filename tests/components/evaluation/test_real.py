@@ -11,12 +11,14 @@ from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator, lane_key
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.systems import make_batch
-from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import PolicyReturns, evaluate_policies
 from components.networks import StackedMLP
 from components.policies.policy import PROXIMITY_SCALING, Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 
-SMALL = EvaluationConfig(trajectories=3, horizon=12, discount=0.9, lambda_step=0.25)
+SMALL = EvaluationProtocol(trajectories=3, horizon=12, proximity_step=0.25)
+DISCOUNT = 0.9
 SETPOINT = {"setpoint": 70.0}
 
 
@@ -43,12 +45,22 @@ def network_policy(key: int, snapshots: int = 2) -> Policy:
 def evaluate(
     policies: Sequence[Policy],
     keys: Sequence[int],
-    config: EvaluationConfig = SMALL,
+    protocol: EvaluationProtocol = SMALL,
+    discount: float = DISCOUNT,
+    behaviours: Sequence[Policy] = (),
     **options: Any,
 ) -> list[PolicyReturns]:
-    behaviours = [constant_policy([0.0, 0.0, 0.0])] * len(policies)
+    behaviours = behaviours or [constant_policy([0.0, 0.0, 0.0])] * len(policies)
     return evaluate_policies(
-        policies, behaviours, INDUSTRIAL_BENCHMARK_ID, SETPOINT, config, keys, CPU, **options
+        policies,
+        behaviours,
+        INDUSTRIAL_BENCHMARK_ID,
+        SETPOINT,
+        protocol,
+        discount,
+        keys,
+        CPU,
+        **options,
     )
 
 
@@ -75,8 +87,8 @@ def test_constant_policies_earn_what_a_direct_simulation_earns() -> None:
 
 
 def test_horizon_and_discount() -> None:
-    config = EvaluationConfig(trajectories=2, horizon=5, discount=1.0)
-    [result] = evaluate([constant_policy([0.1, 0.2, 0.3])], [3], config)
+    protocol = EvaluationProtocol(trajectories=2, horizon=5)
+    [result] = evaluate([constant_policy([0.1, 0.2, 0.3])], [3], protocol, discount=1.0)
     expected = simulate(np.tile([0.1, 0.2, 0.3], (2, 1)), 3, 5, 1.0)
     np.testing.assert_allclose(result.returns[0, 0], expected, rtol=1e-5)
 
@@ -96,18 +108,14 @@ def test_lambda_reaches_the_policy() -> None:
 
 def test_distance_is_euclidean() -> None:
     policy, behaviour = constant_policy([0.5, 0.0, -0.5]), constant_policy([0.2, -0.4, -0.5])
-    [result] = evaluate_policies(
-        [policy], [behaviour], INDUSTRIAL_BENCHMARK_ID, SETPOINT, SMALL, [1], CPU
-    )
+    [result] = evaluate([policy], [1], behaviours=[behaviour])
     assert result.distances.shape == (1, 1)
     assert result.distances[0, 0] == pytest.approx(0.5, rel=1e-5)  # a 3-4-5 triangle
 
 
 def test_each_stack_is_measured_against_its_own_behaviour_policy() -> None:
     still, moving = constant_policy([0.0, 0.0, 0.0]), constant_policy([0.3, 0.0, 0.0])
-    results = evaluate_policies(
-        [still, still], [still, moving], INDUSTRIAL_BENCHMARK_ID, SETPOINT, SMALL, [1, 1], CPU
-    )
+    results = evaluate([still, still], [1, 1], behaviours=[still, moving])
     distances = [float(r.distances[0, 0]) for r in results]
     assert distances == pytest.approx([0.0, 0.3], rel=1e-5)
 
@@ -156,36 +164,10 @@ def test_progress_counts_steps() -> None:
     assert told[-1] == 1.0
 
 
-def test_grid_of_lambda() -> None:
-    grid = EvaluationConfig().lambdas
-    assert len(grid) == 21
-    assert grid[:3] == (0.0, 0.05, 0.1)
-    assert grid[-1] == 1.0
-    assert EvaluationConfig(lambda_step=1.0).lambdas == (0.0, 1.0)
-    assert len(EvaluationConfig(lambda_step=1 / 3).lambdas) == 4
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"trajectories": 0},
-        {"horizon": 0},
-        {"discount": 0.0},
-        {"discount": 1.01},
-        {"lambda_step": 0.0},
-        {"lambda_step": 0.3},
-        {"lambda_step": 1.5},
-    ],
-)
-def test_protocols_out_of_range_are_refused(fields: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(fields))):
-        EvaluationConfig(**fields)
-
-
-@pytest.mark.parametrize("step", [0.01, 0.02, 0.04, 0.05, 0.1, 0.125, 0.2, 0.25, 0.5, 1.0, 1 / 93])
-def test_every_step_that_divides_one_is_accepted(step: float) -> None:
-    grid = EvaluationConfig(lambda_step=step).lambdas
-    assert len(grid) == round(1 / step) + 1
+@pytest.mark.parametrize("discount", [0.0, 1.01, float("nan")])
+def test_discounts_out_of_range_are_refused(discount: float) -> None:
+    with pytest.raises(ValueError, match=r"discount must lie in \(0, 1\]"):
+        evaluate([constant_policy([0.0, 0.0, 0.0])], [0], discount=discount)
 
 
 def candidate_policy(key: int) -> Policy:

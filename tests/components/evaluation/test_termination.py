@@ -11,7 +11,8 @@ import torch
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
 from components.environments import HOPPER_ID
-from components.evaluation.real import EvaluationConfig, evaluate_policies
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import evaluate_policies
 from components.policies.policy import Policy
 from tests.components.synthetic import CPU, constant_policy, policy_card
 
@@ -65,8 +66,8 @@ def test_rewards_and_states_after_the_end_do_not_count(monkeypatch: pytest.Monke
     scaling = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
     card = policy_card(history=1, actions=1)
     policy = Policy.of_networks(card, {"actor": [(weight, torch.zeros(1, 1, 1))]}, scaling)
-    config = EvaluationConfig(trajectories=3, horizon=5, discount=0.5)
-    [result] = evaluate_policies([policy], [STILL], "toy", {}, config, [0], CPU)
+    protocol = EvaluationProtocol(trajectories=3, horizon=5)
+    [result] = evaluate_policies([policy], [STILL], "toy", {}, protocol, 0.5, [0], CPU)
     assert result.returns[0, 0].tolist() == [1.0, 1 + 1 + 0.75, 1 + 1 + 0.75 + 0.5 + 0.3125]
     away = np.tanh(0.1 * np.arange(5))
     # states 0; 0, 1, 2; 0, 1, 2, 3, 4
@@ -76,8 +77,8 @@ def test_rewards_and_states_after_the_end_do_not_count(monkeypatch: pytest.Monke
 
 def test_evaluation_is_over_when_all_copies_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("components.evaluation.real.make_batch", make_toy(1, 3, 2))
-    config, told = EvaluationConfig(trajectories=3, horizon=50, discount=1.0), list[float]()
-    [result] = evaluate_policies([STILL], [STILL], "toy", {}, config, [0], CPU, told.append)
+    protocol, told = EvaluationProtocol(trajectories=3, horizon=50), list[float]()
+    [result] = evaluate_policies([STILL], [STILL], "toy", {}, protocol, 1.0, [0], CPU, told.append)
     assert result.returns[0, 0].tolist() == [1.0, 6.0, 3.0]
     assert told == [1 / 50, 2 / 50, 1.0]
 
@@ -85,9 +86,11 @@ def test_evaluation_is_over_when_all_copies_have_ended(monkeypatch: pytest.Monke
 def test_a_falling_hopper_earns_what_gymnasium_pays_until_then() -> None:
     policy = constant_policy([0.6, -0.3, 0.2], features=11, history=1)
     action = policy.act(torch.zeros(1, 1, 1, 11))[0, 0].numpy()
-    config = EvaluationConfig(trajectories=3, horizon=60, discount=0.99)
+    protocol = EvaluationProtocol(trajectories=3, horizon=60)
     parameters: dict[str, Any] = {"physics": "v3"}
-    [result] = evaluate_policies([policy], [policy], HOPPER_ID, parameters, config, [8], CPU)
+    [result] = evaluate_policies(
+        [policy], [policy], HOPPER_ID, parameters, protocol, 0.99, [8], CPU
+    )
     generator, lengths = lane_generator(8), []
     for trajectory in range(3):
         single = gym.make(HOPPER_ID, **parameters).unwrapped

@@ -56,3 +56,15 @@ def test_a_later_layer_wins_over_all_of_an_earlier_one() -> None:
 def test_a_domain_without_a_file_is_named() -> None:
     with pytest.raises(SettingsError, match=r"dataset\.robo\.domain='mars' .* valid ones are rob"):
         special_settings([OmegaConf.create(GROUPS | {"dataset": {"robo": {"domain": "mars"}}})])
+
+
+@pytest.mark.parametrize("place", ["domain", "dataset"])
+def test_what_is_said_of_algorithms_and_models_is_said_in_groups(place: str) -> None:
+    name = {"domain": "robots", "dataset": "walker"}[place]
+    for fields, says in (
+        ({"model_for": 3}, rf"{place}\.{name}\.model_for=3 must be a group of keys"),
+        ({"model_for": {"wsbc": {"net": 3}}}, rf"{place}\.{name}\.model_for\.wsbc\.net=3 must be"),
+        ({"algorithm": {"moose": None}}, rf"{place}\.{name}\.algorithm\.moose=None must be"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            special({place: {name: fields}})

@@ -1,19 +1,18 @@
 """Settings: the documented defaults are the code's, and everything wrong ends in one sentence."""
 
-import dataclasses
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
 from components.algorithms import ALGORITHMS
 from components.data.sources.catalogue import DATASETS
 from components.models import MODELS
 from flows.command_line import make_executor
-from flows.configuration.composition import CONF
+from flows.configuration.defaults import ALGORITHM_CONFIGS
+from flows.configuration.files import CONF
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.executors.ray import RayExecutor
 
@@ -26,35 +25,27 @@ def paper() -> Settings:
     return load_settings([])
 
 
-def documented(group: str, name: str) -> dict:
-    return yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))[name]
-
-
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_documented_defaults_of_algorithms_are_the_code_s(name: str, paper: Settings) -> None:
-    default = ALGORITHMS[name].config()
+@pytest.mark.parametrize("name", ALGORITHM_CONFIGS)
+def test_defaults_of_algorithms_are_their_dataclasses_(name: str, paper: Settings) -> None:
+    default = ALGORITHM_CONFIGS[name]()
     assert paper.algorithm[name] == default
     assert type(paper.algorithm[name]) is type(default)
-    fields = dataclasses.asdict(default)
-    written = documented("algorithm", name)
-    assert list(written) == list(fields)
-    assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == fields
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_documented_defaults_of_models_are_the_code_s(name: str, paper: Settings) -> None:
+def test_defaults_of_models_are_their_dataclasses_(name: str, paper: Settings) -> None:
     assert paper.model[name] == MODELS[name].config()
-    fields = dataclasses.fields(MODELS[name].config)
-    assert list(documented("model", name)) == [field.name for field in fields]
+    assert type(paper.model[name]) is MODELS[name].config
 
 
-def test_every_algorithm_and_model_has_its_file() -> None:
-    for group, known in (
-        ("algorithm", ALGORITHMS),
-        ("model", MODELS),
-        ("dataset", DATASETS),
-    ):
-        assert {path.stem for path in (CONF / group).glob("*.yaml")} == set(known)
+def test_the_registries_say_which_algorithms_and_models_there_are(paper: Settings) -> None:
+    assert list(paper.algorithm) == sorted(ALGORITHMS)
+    assert list(paper.model) == sorted(MODELS)
+    assert load_settings(["algorithms=all"]).algorithms == tuple(sorted(ALGORITHMS))
+
+
+def test_every_dataset_has_its_file() -> None:
+    assert {path.stem for path in (CONF / "dataset").glob("*.yaml")} == set(DATASETS)
 
 
 @pytest.mark.parametrize("name", DATASETS)
@@ -77,7 +68,7 @@ def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Set
     assert paper.seeds == (0, 1, 2, 3, 4)
     assert paper.training.snapshots == 20
     assert (paper.evaluation.trajectories, paper.evaluation.horizon) == (10, 100)
-    assert paper.evaluation.lambda_step == 0.05
+    assert paper.evaluation.proximity_step == 0.05
     assert paper.aggregation.pool_fraction == 0.1
     assert paper.store == Path("mlruns")
     assert not paper.dry_run
@@ -124,7 +115,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
             "model.foo.hidden=3",
             "valid keys in model: action_vae, behaviour_policy, .*recurrent_ensemble",
         ),
-        ("evaluation.discount=0.5", "valid keys in evaluation: horizon, lambda_step"),
+        ("evaluation.discount=0.5", "valid keys in evaluation: horizon, proximity_step"),
         ("dataset.bad-0.2.epsilon=2", "edit conf/dataset, or select with datasets="),
         # unknown names
         ("profile=fast", "Unknown profile 'fast'; valid ones are paper, quick, smoke"),
@@ -151,7 +142,11 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("data.trajectories=1", "greater than or equal to 2"),
         ("training.snapshots=3.5", "valid integer"),
         ("training.snapshots=2000", "raise the one or lower the other"),
-        ("evaluation.lambda_step=0.3", "lambda_step must divide 1"),
+        ("evaluation.proximity_step=0.3", "evaluation: proximity_step must divide 1"),
+        ("evaluation.lambda_step=0.3", "evaluation: proximity_step must divide 1"),
+        ("evaluation.lambda_step=0.001", "evaluation: .* at least 0.01, got 0.001"),
+        ("evaluation.horizon=0", "evaluation: trajectories and horizon must be at least 1"),
+        ("evaluation.horizon=x", "evaluation.horizon='x': .* integer"),
         ("aggregation.pool_fraction=2", "less than or equal to 1"),
         ("runner.executor=dask", "should be 'ray' or 'serial'"),
         ("runner.tracker=paper", "should be 'mlflow', 'file' or 'none'"),
@@ -175,6 +170,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("mopo_penalties=[]", "must be null, sweep or a list of different numbers"),
         ("mopo_penalties=[1,1.0]", "must be null, sweep or a list of different numbers"),
         ("mopo_penalties=[true]", "must be null, sweep or a list of different numbers"),
+        ("sweep=true", "sweep=true: Input should be no boolean"),
         ("sweep=../up", "sweep='../up': .* match pattern"),
         ("store=", "store= is empty; name a folder"),
         ("store=${nope}", "nope"),
@@ -189,6 +185,18 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("algorithm=1", "algorithm=1 must be a group of keys"),
         ("model=null", "model=None must be a group of keys"),
         ("algorithm.lion=1", "algorithm.lion=1 must be a group of keys"),
+        ("experts.training=1", "experts.training=1 must be a group of keys"),
+        ("domain=1", "domain=1 must be a group of keys"),
+        ("domain.mujoco=1", "domain.mujoco=1 must be a group of keys"),
+        ("dataset=1", "dataset=1 must be a group of keys"),
+        # inside a group that is given as a whole
+        ("data={foo:1}", "Unknown key 'data.foo'; valid keys there: seed, trajectories"),
+        ("algorithm.lion={bta:1}", "Unknown key 'algorithm.lion.bta'; .*Did you mean 'beta'"),
+        ("algorithm={lyon:{updates:3}}", "Unknown key 'algorithm.lyon'; .*Did you mean 'lion'"),
+        ("domain.mujoco={algoritm:{}}", "Unknown key 'domain.mujoco.algoritm'; valid .* algorithm"),
+        ("domain.mujoco.algorithm={lyon:{}}", "Unknown key 'hopper.algorithm.lyon'; valid keys"),
+        ("domain.mujoco.model_for={lion:{net:{}}}", "Unknown key 'hopper.model_for.lion.net'"),
+        ("domain.mujoco.model_for={lyon:{}}", "Unknown key 'hopper.model_for.lyon'; .* lion"),
     ],
 )
 def test_what_is_wrong_ends_in_one_sentence(word: str, valid: str) -> None:
@@ -211,6 +219,16 @@ def test_short_keys_stand_for_long_ones(paper: Settings) -> None:
     assert set(load_settings(["models=all"], aliases).tuning.models) == set(MODELS)
 
 
+def test_the_old_name_of_the_proximity_step_keeps_working(paper: Settings) -> None:
+    for word in (
+        "evaluation.lambda_step=0.1",
+        "evaluation.proximity_step=0.1",
+        "evaluation={lambda_step:0.1}",
+    ):
+        assert load_settings([word]).evaluation.proximity_step == 0.1
+        assert load_settings([word]).evaluation.horizon == paper.evaluation.horizon
+
+
 def test_penalties_are_checked_and_become_variants() -> None:
     words = ["algorithms=[mopo]", "mopo_penalties=[0,0.5]"]
     assert load_settings(words).variants == {"mopo": ("penalty", (0.0, 0.5))}
@@ -224,9 +242,10 @@ def test_penalties_are_checked_and_become_variants() -> None:
         ("foo=1", 2, "full_benchmark: Unknown key 'foo'; valid keys: "),
         ("data.steps=50", 2, "full_benchmark: data.steps=50 is less than warm_up + horizon = 80"),
         ("dry_run=true", 0, "13 of 13 nodes to do"),
+        ("show_settings=true", 0, "recurrent_ensemble:\n    members: 2"),
     ],
 )
-def test_bad_input_and_dry_runs_leave_nothing_behind(
+def test_bad_input_dry_runs_and_shown_settings_leave_nothing_behind(
     word: str, code: int, says: str, tmp_path: Path
 ) -> None:
     done = subprocess.run(

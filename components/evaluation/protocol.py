@@ -1,0 +1,65 @@
+"""How policies are judged on the real system."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["EvaluationProtocol"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationProtocol:
+    """The protocol (thesis 5.1.2; details in the README). The discount belongs to the dataset."""
+
+    trajectories: int = 10  # real ones per policy and proximity
+    horizon: int = 100  # steps
+    proximity_step: float = 0.05  # grid of the proximity (lambda), from 0 to 1
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the field and its range.
+        """
+        if self.trajectories < 1 or self.horizon < 1:
+            raise ValueError(
+                "trajectories and horizon must be at least 1, got "
+                f"{self.trajectories} and {self.horizon}."
+            )
+        step = self.proximity_step
+        # steps are counted in percent where curves are drawn over the proximity
+        if not 0.01 <= step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
+            raise ValueError(f"proximity_step must divide 1 and be at least 0.01, got {step}.")
+
+    @property
+    def proximities(self) -> tuple[float, ...]:
+        """The grid 0, step, ..., 1."""
+        count = round(1 / self.proximity_step)
+        return tuple(n / count for n in range(count + 1))
+
+    def record(self, discount: float) -> dict[str, Any]:
+        """What identifies an evaluation, under the names that stored results have.
+
+        Args:
+            discount: Gamma of the reported return.
+        """
+        return {
+            "trajectories": self.trajectories,
+            "horizon": self.horizon,
+            "lambda_step": self.proximity_step,
+            "discount": discount,
+        }
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> tuple["EvaluationProtocol", float]:
+        """The protocol and the discount of a record.
+
+        Raises:
+            ValueError: A value outside its range.
+        """
+        protocol = cls(
+            trajectories=record["trajectories"],
+            horizon=record["horizon"],
+            proximity_step=record["lambda_step"],
+        )
+        return protocol, record["discount"]

@@ -1,0 +1,34 @@
+"""The defaults of algorithms, models, evaluation and expert training.
+
+Their dataclasses are the only place where these stand. What is written in conf/ or on a command
+line deviates from them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from components.algorithms import ALGORITHMS
+from components.evaluation.protocol import EvaluationProtocol
+from components.experts.online import ExpertConfig
+from components.models import MODELS
+
+__all__ = ["ALGORITHM_CONFIGS", "MODEL_CONFIGS", "component_defaults"]
+
+ALGORITHM_CONFIGS: Mapping[str, type] = {
+    name: ALGORITHMS[name].config for name in sorted(ALGORITHMS)
+}
+"""Configuration classes of the algorithms, sorted by name."""
+
+MODEL_CONFIGS: Mapping[str, type] = {name: MODELS[name].config for name in sorted(MODELS)}
+"""Configuration classes of the supervised models, sorted by name."""
+
+
+def component_defaults() -> dict[str, Any]:
+    """What holds where nobody says otherwise, in the groups of the command line."""
+    return {
+        "algorithm": {name: asdict(kind()) for name, kind in ALGORITHM_CONFIGS.items()},
+        "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},
+        "evaluation": asdict(EvaluationProtocol()),
+        "experts": {"training": asdict(ExpertConfig())},
+    }

@@ -1,0 +1,164 @@
+"""One schema of all settings: nested groups whose validation says what is wrong."""
+
+import dataclasses
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+
+from components.data.sources.catalogue import DatasetSpec, spec_kind
+from components.evaluation.protocol import EvaluationProtocol
+from flows.configuration.checking import SettingsError, Strict, build_config
+from flows.configuration.composition import DEVIATIONS
+from flows.configuration.defaults import ALGORITHM_CONFIGS
+from flows.configuration.sections import (
+    AggregationSettings,
+    AlgorithmConfigs,
+    DataSettings,
+    ExpertsSettings,
+    ModelConfigs,
+    ModelsSettings,
+    OwnSettings,
+    RunnerSettings,
+    Seeds,
+    TrainingSettings,
+    TuningSettings,
+    selected,
+    selection,
+)
+
+__all__ = ["Settings"]
+
+
+def _penalties(chosen: Any) -> tuple[float, ...] | None:
+    """The penalties of one MOPO policy each."""
+    if chosen is None:
+        return None
+    if chosen == "sweep":
+        chosen = [round(0.1 * k, 1) for k in range(26)]  # thesis 6.3
+    penalties = chosen if isinstance(chosen, list) else [chosen]
+    numbers = all(isinstance(p, int | float) and not isinstance(p, bool) for p in penalties)
+    if not penalties or not numbers or len(set(penalties)) != len(penalties):
+        raise SettingsError(
+            f"mopo_penalties={chosen} must be null, sweep or a list of different numbers."
+        )
+    return tuple(map(float, penalties))
+
+
+def _folder(store: Any) -> Any:
+    if store == "":
+        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
+    return store
+
+
+def _specification(name: str, fields: Any, data: DataSettings) -> DatasetSpec:
+    """What a dataset is made of, without what its file says about algorithms and models."""
+    path = f"dataset.{name}"
+    if not isinstance(fields, Mapping):
+        raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
+    own = {k: v for k, v in fields.items() if k not in ("domain", *DEVIATIONS)}
+    kind = spec_kind(own)
+    known = {field.name for field in dataclasses.fields(kind)}
+    sizes = {k: v for k, v in data.model_dump(exclude={"seed"}).items() if k in known}
+    spec: DatasetSpec = build_config(kind, path, {"name": name, **own, **sizes})
+    return spec
+
+
+class Settings(Strict):
+    """A complete, checked configuration.
+
+    Attributes:
+        dataset: Every dataset of conf/dataset by name, with sizes filled in.
+        mopo_penalties: One MOPO policy for each of these instead of one.
+        algorithm: Configuration object of every algorithm by name.
+        model: Configuration object of every supervised model by name.
+        special: Of datasets that want something otherwise, what holds on them.
+        model_words: By model, the first word of the command line that changes a setting of it.
+    """
+
+    profile_name: str
+    data: DataSettings
+    dataset: dict[str, Any]
+    datasets: tuple[str, ...]
+    algorithms: Annotated[tuple[str, ...], selection("algorithm", ALGORITHM_CONFIGS)]
+    seeds: Seeds
+    mopo_penalties: Annotated[tuple[float, ...] | None, BeforeValidator(_penalties)]
+    sweep: str | None = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    training: TrainingSettings
+    evaluation: EvaluationProtocol
+    aggregation: AggregationSettings
+    models: ModelsSettings
+    tuning: TuningSettings
+    experts: ExpertsSettings
+    runner: RunnerSettings
+    store: Annotated[Path, BeforeValidator(_folder)]
+    dry_run: bool
+    show_settings: bool
+    algorithm: AlgorithmConfigs
+    model: ModelConfigs
+    special: dict[str, OwnSettings]
+    model_words: dict[str, str]
+
+    @field_validator("dataset")
+    @classmethod
+    def _specifications(cls, files: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if "data" not in info.data:  # which is wrong itself
+            return {}
+        return {n: _specification(n, fields, info.data["data"]) for n, fields in files.items()}
+
+    @field_validator("datasets", mode="before")
+    @classmethod
+    def _known_datasets(cls, chosen: Any, info: ValidationInfo) -> list[str]:
+        return selected("dataset", chosen, sorted(info.data.get("dataset", ())))
+
+    @field_validator("special", mode="before")
+    @classmethod
+    def _own_settings(cls, special: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: build_config(OwnSettings, name, own) for name, own in special.items()}
+
+    @model_validator(mode="after")
+    def _check_penalties(self) -> "Settings":
+        for penalty in self.mopo_penalties or ():
+            if "mopo" not in self.algorithms:
+                raise SettingsError(
+                    "mopo_penalties is given, but mopo is not among the algorithms; add it."
+                )
+            try:
+                dataclasses.replace(self.algorithm["mopo"], penalty=penalty)
+            except ValueError as error:
+                chosen = list(self.mopo_penalties or ())
+                raise SettingsError(f"mopo_penalties={chosen}: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _check_snapshots(self) -> "Settings":
+        for dataset, name in product(self.datasets, self.algorithms):
+            updates = self.algorithm_on(dataset, name).updates
+            if updates < self.training.snapshots:
+                raise SettingsError(
+                    f"algorithm.{name}.updates={updates} is less than training.snapshots="
+                    f"{self.training.snapshots}; raise the one or lower the other."
+                )
+        return self
+
+    @property
+    def variants(self) -> dict[str, tuple[str, tuple[float, ...]]]:
+        """By algorithm, one of its settings and the values it takes one after the other."""
+        return {"mopo": ("penalty", self.mopo_penalties)} if self.mopo_penalties else {}
+
+    def algorithm_on(self, dataset: str, name: str) -> Any:
+        """Configuration object of an algorithm on a dataset."""
+        own = self.special.get(dataset)
+        return (own.algorithm if own else self.algorithm)[name]
+
+    def model_on(self, dataset: str, name: str) -> Any:
+        """Configuration object of a supervised model on a dataset."""
+        own = self.special.get(dataset)
+        return (own.model if own else self.model)[name]
+
+    def models_for(self, dataset: str, algorithm: str) -> dict[str, Any]:
+        """Configuration objects of the models that an algorithm wants otherwise, by name."""
+        own = self.special.get(dataset)
+        return dict(own.model_for.get(algorithm, {})) if own else {}

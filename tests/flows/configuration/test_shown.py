@@ -1,0 +1,87 @@
+"""Shown settings: complete, and what the command line takes."""
+
+import sys
+from dataclasses import asdict
+from typing import Any
+
+import pytest
+import yaml
+
+from flows import full_benchmark, generate_data, train_experts, tune_models
+from flows.command_line import main
+from flows.configuration.settings import load_settings
+from flows.configuration.shown import settings_yaml
+
+
+def shown(*words: str) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load(settings_yaml(load_settings(words)))
+    return found
+
+
+def leaves(fields: dict[str, Any], path: str = "") -> list[str]:
+    """The words that give every setting of a group."""
+    words = []
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            words += leaves(value, f"{path}{name}.")
+        else:
+            word = str(value).replace("'", "").replace("None", "null")
+            words.append(f"{path}{name}={word}")
+    return words
+
+
+def test_every_setting_is_shown_with_its_value() -> None:
+    settings = load_settings(["profile=quick", "algorithm.lion.hidden=[7]"])
+    found = shown("profile=quick", "algorithm.lion.hidden=[7]")
+    for group in ("algorithm", "model"):
+        for name, config in getattr(settings, group).items():
+            plain = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}
+            assert found[group][name] == plain
+    assert found["algorithm"]["lion"]["hidden"] == [7]
+    assert found["evaluation"] == {"trajectories": 10, "horizon": 100, "proximity_step": 0.05}
+    assert found["experts"]["training"]["random_steps"] == 25_000
+    assert found["algorithms"] == ["bc", "ddpg", "td3_bc", "lion"]
+    assert list(found["dataset"]) == list(settings.datasets)
+
+
+def test_what_is_shown_given_as_words_makes_the_same_settings() -> None:
+    found = shown("profile=smoke")
+    del found["dataset"]
+    again = load_settings(leaves(found))
+    smoke = load_settings(["profile=smoke"])
+    for name in type(smoke).model_fields.keys() - {"model_words", "special"}:
+        assert getattr(again, name) == getattr(smoke, name), name
+
+
+def test_what_a_dataset_wants_otherwise_is_shown_below_it() -> None:
+    found = shown("datasets=[bad-0.4,hopper]")["dataset"]
+    assert found["bad-0.4"] == {
+        "controller": "bad", "epsilon": 0.4, "setpoint": 70.0, "trajectories": 100, "steps": 1000,
+        "discount": 0.97,
+    }  # fmt: skip
+    hopper = found["hopper"]
+    assert hopper["algorithm"]["morel"] == {"discount": 0.99, "halt_offset": 50.0}
+    assert "moose" in hopper["algorithm"]
+    assert "updates" not in hopper["algorithm"]["moose"], "hopper's own are the general ones"
+    assert hopper["model"]["behaviour_policy"] == {"hidden": [128, 128], "epochs": 10}
+    assert hopper["model_for"] == {"wsbc": {"behaviour_policy": {"hidden": [40]}}}
+
+
+@pytest.mark.parametrize(
+    ("door", "aliases"),
+    [
+        (full_benchmark, None),
+        (generate_data, None),
+        (tune_models, tune_models.ALIASES),
+        (train_experts, train_experts.ALIASES),
+    ],
+)
+def test_every_door_shows_them_and_stops(
+    door: Any, aliases: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["door", "profile=smoke", "show_settings=true"])
+    with pytest.raises(SystemExit) as ended:
+        main("door", door.HELP, pytest.fail, *([aliases] if aliases else []))
+    assert ended.value.code == 0
+    assert yaml.safe_load(capsys.readouterr().out)["profile_name"] == "smoke"
+    assert "  show_settings=true " in door.HELP
