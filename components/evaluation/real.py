@@ -1,6 +1,6 @@
-"""Roll stored policies out on the real system: the only place that judges them.
+"""Roll stored policies out on the real system: the only place that says how good they are.
 
-All snapshots, all lambdas and all repetitions of a policy run as copies of one vectorised
+All snapshots, all proximities and all repetitions of a policy run as copies of one vectorised
 environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
 own environment and its own random stream, so its numbers do not depend on what is evaluated beside
 it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start. A termination is
@@ -59,13 +59,13 @@ class PolicyReturns:
     """What one stack of S snapshots achieved.
 
     Attributes:
-        lambdas: The grid, or a single NaN for policies without lambda.
-        returns: ``[S, lambdas, trajectories]`` discounted returns.
-        distances: ``[S, lambdas]`` mean Euclidean distance to the behaviour policy's action over
+        proximities: ``[N]`` the grid, or a single NaN for policies that take none.
+        returns: ``[S, N, trajectories]`` discounted returns.
+        distances: ``[S, N]`` mean Euclidean distance to the behaviour policy's action over
             all visited states, a terminal one and what follows it excluded.
     """
 
-    lambdas: npt.NDArray[np.float64]
+    proximities: npt.NDArray[np.float64]
     returns: npt.NDArray[np.float64]
     distances: npt.NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def evaluate_policies(
     Returns:
         One result per stack.
     """
-    takes_proximity = policies[0].card.takes_lambda
+    takes_proximity = policies[0].card.takes_proximity
     grid = config.lambdas if takes_proximity else (float("nan"),)
     snapshots, repeats = policies[0].lanes, config.trajectories
     per_policy = len(grid) * repeats

@@ -1,39 +1,14 @@
-"""Files that appear whole or not at all, and locks that die with their process."""
+"""Locks that die with their process, beside the files that appear whole or not at all."""
 
 import fcntl
-import json
 import os
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+
+from components.core.files import read_json, write_json, write_text
 
 __all__ = ["locked", "read_json", "write_json", "write_text"]
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes text to a temporary neighbour and renames it into place."""
-    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex[:12]}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Writes JSON to a temporary neighbour and renames it into place."""
-    write_text(path, json.dumps(value, indent=1))
-
-
-def read_json(path: Path) -> Any:
-    """Reads a JSON file; None if it is missing or broken."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
 
 
 @contextmanager

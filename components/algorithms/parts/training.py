@@ -81,7 +81,7 @@ def train_policies(
             features=tuple(data.card.frame_features),
             history=data.card.history,
             actions=len(data.card.action_features),
-            takes_lambda=takes_lambda,
+            takes_proximity=takes_lambda,
             steps=(0,),
         )
         for data in datasets
