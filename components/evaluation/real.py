@@ -105,12 +105,12 @@ def evaluate_policies(
     clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
     grid_values = torch.tensor(grid, device=device).repeat_interleave(repeats)
     proximity = grid_values.expand(actors.lanes, -1) if takes_proximity else None
-    machines = [
+    systems = [
         make_batch(environment, snapshots * per_policy, threads, **parameters) for _ in policies
     ]
     histories = [
-        FrameHistory(machine.reset(lane_generator(key)), actors.card.history)
-        for machine, key in zip(machines, keys, strict=True)
+        FrameHistory(system.reset(lane_generator(key)), actors.card.history)
+        for system, key in zip(systems, keys, strict=True)
     ]
     shape = (len(policies), snapshots * per_policy)
     noises = [lane_generator(lane_key(key, "candidates")) for key in keys]
@@ -129,11 +129,11 @@ def evaluate_policies(
         np.add(distance, away.cpu().numpy(), out=distance, where=running)
         visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
-        for number, (machine, history) in enumerate(zip(machines, histories, strict=True)):
-            frames, rewards = machine.step(chosen[number])
+        for number, (system, history) in enumerate(zip(systems, histories, strict=True)):
+            frames, rewards = system.step(chosen[number])
             history.push(frames)
             returns[number] += config.discount**t * np.where(running[number], rewards, 0.0)
-            running[number] &= ~machine.terminated
+            running[number] &= ~system.terminated
         over = not running.any()
         progress(1.0 if over else (t + 1) / config.horizon)
         if over:

@@ -201,7 +201,7 @@ def test_a_broken_lane_stands_still() -> None:
     [
         ({"horizon": 0}, "horizon, evaluate_every and episodes must be at least 1"),
         ({"random_steps": 91}, "from 1 to steps=90"),
-        ({"evaluate_every": 91}, "no policy would be judged"),
+        ({"evaluate_every": 91}, "no policy would be evaluated"),
         ({"exploration": -0.1}, "exploration is -0.1"),
         ({"discount": 1.0}, "discount must lie in"),
     ],
