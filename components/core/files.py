@@ -1,7 +1,7 @@
 """Files and folders that appear whole or not at all.
 
-Whatever is written lies under a temporary name beside its own until it is whole, and is renamed
-then. A process killed in between leaves at most a hidden neighbour behind; an error removes it.
+Everything is written under a temporary name beside its own and renamed when it is whole. An error
+removes the temporary file; a killed process leaves it behind, hidden.
 """
 
 import json
