@@ -73,7 +73,7 @@ def _behaviour(dataset: OfflineDataset) -> Policy:
         features=tuple(dataset.card.frame_features),
         history=dataset.card.history,
         actions=dataset.actions.shape[1],
-        takes_lambda=False,
+        takes_proximity=False,
         steps=(0,),
     )
     sizes = (dataset.card.history * dataset.frames.shape[1], 20, dataset.actions.shape[1])

@@ -19,8 +19,8 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.measure import machine, markdown, median_seconds
+from components.core.files import write_json
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import run_plan

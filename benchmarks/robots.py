@@ -46,7 +46,7 @@ def untrained_policy(name: str, hidden: tuple[int, ...] = (256, 256)) -> Policy:
         features=features,
         history=1,
         actions=actions,
-        takes_lambda=False,
+        takes_proximity=False,
         steps=(0,),
     )
     scaling = Normaliser(torch.zeros(1, len(features)), torch.ones(1, len(features)))

@@ -6,11 +6,11 @@ can load it: ``MINARI_DATASETS_PATH=mlruns/minari python -c "import minari; ..."
 
 from pathlib import Path
 
+from components.core.files import read_json, write_json
 from components.data.dataset import OfflineDataset
 from components.data.minari_exchange import export_minari, minari_id
 from flows.command_line import Metrics, main, run_sweep
 from flows.configuration.settings import Settings
-from flows.pipeline.files import read_json, write_json
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import data_plan, sweep_name

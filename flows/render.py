@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from pydantic import Field
 
+from components.core.files import replacing
 from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
 from components.policies.policy import Policy
@@ -20,7 +21,7 @@ from flows.configuration.checking import SettingsError, Strict, build_config
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 
-__all__ = ["RenderSettings", "film_command", "find_policy", "load_render_settings"]
+__all__ = ["RenderSettings", "find_policy", "load_render_settings"]
 
 HELP = """\
 usage: python -m flows.render run=ID out=FILE [KEY=VALUE ...]
@@ -30,7 +31,7 @@ Film a stored policy of a robot, drawn without a screen by EGL or OSMesa. The la
   run=ID        id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
                 e.g. td3_bc/hopper/seed0
   out=FILE      walker.mp4 or walker.gif
-  lambda=0.5    proximity, for policies that take it
+  proximity=0.5 for policies that take it, from 0 to 1
   steps=1000    at most; a fall ends the film
   seed=0        of the start
   size=480      pixels, a multiple of 16
@@ -38,6 +39,8 @@ Film a stored policy of a robot, drawn without a screen by EGL or OSMesa. The la
 """
 
 _TRAINING = "policy_training"
+_FORMER_WORDS = {"lambda": "proximity"}
+"""Words of older command lines, such as those in stored reports."""
 
 
 class RenderSettings(Strict):
@@ -45,7 +48,7 @@ class RenderSettings(Strict):
 
     run: str = Field(min_length=1)
     out: Path
-    proximity: float | None = Field(default=None, ge=0, le=1, alias="lambda")
+    proximity: float | None = Field(default=None, ge=0, le=1)
     steps: int = Field(default=1000, ge=1)
     seed: int = Field(default=0, ge=0)
     size: int = Field(default=480, ge=16, multiple_of=16)  # blocks of video codecs
@@ -63,7 +66,7 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
         key, equals, value = word.partition("=")
         if not equals or not key:
             raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. seed=1.")
-        fields[key] = value
+        fields[_FORMER_WORDS.get(key, key)] = value
     for name in ("run", "out"):
         if name not in fields:
             raise SettingsError(f"{name}= is missing; write run=ID out=FILE, e.g. out=walker.mp4.")
@@ -71,12 +74,6 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     if settings.out.suffix.lower() not in (".mp4", ".gif"):
         raise SettingsError(f"out={settings.out} must end in .mp4 or .gif.")
     return settings
-
-
-def film_command(run: str, name: str, takes_lambda: bool) -> str:
-    """The command line that films a run into a file of the given name."""
-    words = [f"run={run}", f"out={name.replace('/', '-')}.mp4", *["lambda=0.5"] * takes_lambda]
-    return " ".join(["python -m flows.render", *words])
 
 
 def find_policy(store: ArtifactStore, run: str) -> dict[str, Any]:
@@ -126,8 +123,9 @@ def _key_in_mlflow(root: Path, run: str) -> str | None:
 def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], np.ndarray]:
     """Frames `[1, H, F]` to the last snapshot's action `[A]`."""
     card = policy.card
-    if card.takes_lambda != (settings.proximity is not None):
-        says = "needs lambda; add e.g. lambda=0.5" if card.takes_lambda else "takes no lambda"
+    takes = card.takes_proximity
+    if takes != (settings.proximity is not None):
+        says = "needs proximity; add e.g. proximity=0.5" if takes else "takes no proximity"
         raise SettingsError(f"run={settings.run}: a policy of {card.algorithm} {says}.")
     last = policy.select(slice(policy.lanes - 1, policy.lanes), card)
     proximity = None if settings.proximity is None else torch.tensor([[settings.proximity]])
@@ -148,27 +146,21 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
 def _video(path: Path) -> Iterator[Callable[[np.ndarray], object]]:
     """A file that takes pictures; it appears under its name when it is whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    growing = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     options: dict[str, Any] = {"fps": FRAMES_PER_SECOND}
     if path.suffix.lower() == ".gif":
         options = {"duration": 1000 / FRAMES_PER_SECOND, "loop": 0}  # milliseconds; for ever
-    try:
-        with imageio.get_writer(growing, **options) as writer:
-            yield writer.append_data
-        growing.replace(path)
-    finally:
-        growing.unlink(missing_ok=True)
+    with replacing(path) as temporary, imageio.get_writer(temporary, **options) as writer:
+        yield writer.append_data
 
 
 def _run(settings: RenderSettings) -> int:
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
-    data = store.path(record["inputs"]["dataset"]) / "dataset" / "card.json"
-    card = DatasetCard.from_json(data.read_text(encoding="utf-8"))
+    card = DatasetCard.load(store.path(record["inputs"]["dataset"]) / "dataset" / "card.json")
     if card.environment not in DRAWABLE:
         raise SettingsError(
-            f"run={settings.run} steers {card.environment}, which has no picture; only policies "
-            "of the robots can be filmed."
+            f"run={settings.run} is a policy of {card.environment}, which has no picture; "
+            "only policies of the robots can be filmed."
         )
     policy = Policy.load(store.path(record["key"]) / "policy")
     act = _actor(policy, settings)

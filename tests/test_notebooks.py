@@ -68,11 +68,11 @@ def test_results_notebook_shows_table_and_figure(
     texts = [data["text/markdown"] for data in shown if "text/markdown" in data]
     assert texts[0] == "Sweep **smoke**"
     assert texts[-1] == (store / "reports" / "smoke" / "results.md").read_text(encoding="utf-8")
-    beside, steered = [data["text/html"] for data in shown if "text/html" in data]
+    beside, over_proximity = [data["text/html"] for data in shown if "text/html" in data]
     assert "td3_bc" in beside
     assert "-77.7" in beside  # the thesis's TD3+BC on mediocre-0.2
-    assert "lion" in steered
-    assert "NaN" not in beside + steered
+    assert "lion" in over_proximity
+    assert "NaN" not in beside + over_proximity
     figures = [out for out in outputs if "image/png" in out.get("data", {})]
     assert len(figures) == 1  # the smoke run has one dataset
     assert not [out for out in outputs if out.output_type in ("stream", "error")]

@@ -1,4 +1,4 @@
-"""Affine scaling of features, fitted on data and carried along with whatever was trained on it."""
+"""Affine scaling of features, fitted on data and stored with what was trained on scaled data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -10,9 +10,6 @@ a digest of all arrays, checked when the folder is opened.
 
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from importlib import metadata
@@ -23,14 +20,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from components.core.cards import CardFormat
+from components.core.files import replacing, write_text
+
 __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "code_version"]
 
 FORMAT_VERSION: Final = 1
 _CARD = "card.json"
-_EARLIER: Final[Mapping[str, Any]] = MappingProxyType(
-    {"controller_digest": "", "noise": 0.0, "simulator": ""}
-)
-"""Fields that cards of the same format did not have at first, and what these cards mean by it."""
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "frames": "<f4",
@@ -122,36 +118,43 @@ class DatasetCard:
         return json.dumps(values, indent=2, sort_keys=True) + "\n"
 
     @classmethod
-    def from_json(cls, text: str) -> "DatasetCard":
-        """Read a card.
+    def from_json(cls, text: str, source: object = "a dataset card") -> "DatasetCard":
+        """Read a card from the text that :meth:`to_json` made.
+
+        Args:
+            text: JSON.
+            source: Where it was, for messages.
 
         Raises:
-            ValueError: not JSON, fields missing or unknown, or a format this code cannot read.
+            ValueError: It is not JSON, fields are missing or unknown, or it has a format that this
+                code cannot read.
         """
-        try:
-            values: Any = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"a dataset card must be JSON: {error}.") from error
-        if not isinstance(values, dict):
-            raise ValueError("a dataset card must be a JSON object.")
-        version = values.get("format_version")
-        if version != FORMAT_VERSION:
-            raise ValueError(
-                f"the dataset has format version {version!r} and this code reads version "
-                f"{FORMAT_VERSION}; generate the dataset again."
-            )
-        values = {**_EARLIER, **values}
-        wrong = sorted({f.name for f in fields(cls)}.symmetric_difference(values))
-        if wrong == ["transitions"]:  # on cards of before, all episodes were as long
-            values["transitions"] = values["trajectories"] * values["steps"]
-        elif wrong:
-            raise ValueError(
-                f"the dataset card has missing or unknown fields ({', '.join(wrong)}); "
-                "generate the dataset again."
-            )
-        for name in ("frame_features", "action_features"):
-            values[name] = tuple(values[name])
-        return cls(**values)
+        return _CARDS.parse(text, source)
+
+    @classmethod
+    def load(cls, path: Path) -> "DatasetCard":
+        """Read `card.json`.
+
+        Raises:
+            FileNotFoundError: There is none.
+            ValueError: As :meth:`from_json`.
+        """
+        return _CARDS.read(path)
+
+
+def _amend(values: dict[str, Any]) -> None:
+    if {"trajectories", "steps"} <= values.keys():  # on older cards, all episodes are as long
+        values.setdefault("transitions", values["trajectories"] * values["steps"])
+
+
+_REMEDY: Final = "generate the dataset again"
+_CARDS: Final = CardFormat(
+    kind=DatasetCard,
+    what="dataset",
+    remedy=_REMEDY,
+    version=("format_version", FORMAT_VERSION),
+    amend=_amend,
+)
 
 
 def array_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -240,16 +243,11 @@ class OfflineDataset:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"{folder} is not empty; remove it or write the dataset elsewhere.")
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
+        with replacing(folder) as temporary:
+            temporary.mkdir()
             for name, array in self.arrays().items():
                 np.save(temporary / f"{name}.npy", array, allow_pickle=False)
-            (temporary / _CARD).write_text(self.card.to_json(), encoding="utf-8")
-            temporary.chmod(0o755)  # mkdtemp makes a private folder
-            os.replace(temporary, folder)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
+            write_text(temporary / _CARD, self.card.to_json())
 
     @classmethod
     def open(cls, folder: Path, *, check: bool = True) -> "OfflineDataset":
@@ -265,30 +263,22 @@ class OfflineDataset:
                 does not have the digest on the card.
         """
         folder = Path(folder)
-        remedy = "generate the dataset again"
-        if not (folder / _CARD).is_file():
-            raise FileNotFoundError(
-                f"there is no dataset in {folder}: {_CARD} is missing; {remedy}."
-            )
-        try:
-            card = DatasetCard.from_json((folder / _CARD).read_text(encoding="utf-8"))
-        except (ValueError, UnicodeDecodeError) as error:
-            raise ValueError(f"the dataset in {folder} cannot be opened: {error}") from error
+        card = DatasetCard.load(folder / _CARD)
         arrays: dict[str, Any] = {}
         for name, dtype in _DTYPES.items():
             path = folder / f"{name}.npy"
             if not path.is_file():
-                raise FileNotFoundError(f"{path} is missing from its dataset; {remedy}.")
+                raise FileNotFoundError(f"{path} is missing from its dataset; {_REMEDY}.")
             try:
                 arrays[name] = np.load(path, mmap_mode="r", allow_pickle=False)
             except (ValueError, EOFError, OSError) as error:
-                raise ValueError(f"{path} is damaged and cannot be read; {remedy}.") from error
+                raise ValueError(f"{path} is damaged and cannot be read; {_REMEDY}.") from error
             if arrays[name].dtype != np.dtype(dtype):
-                raise ValueError(f"{path} holds {arrays[name].dtype}, not {dtype}; {remedy}.")
+                raise ValueError(f"{path} holds {arrays[name].dtype}, not {dtype}; {_REMEDY}.")
         if check and array_digest(arrays) != card.digest:
             raise ValueError(
                 f"the arrays in {folder} do not have the digest on their card: they were changed "
-                f"or damaged after they were written; {remedy}."
+                f"or damaged after they were written; {_REMEDY}."
             )
         dataset = cls(card=card, **arrays)
         _check_shapes(dataset, folder)
@@ -309,7 +299,4 @@ def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
     for name, shape in expected.items():
         found = getattr(dataset, name).shape
         if found != shape:
-            raise ValueError(
-                f"{folder / name}.npy has the shape {found}, not {shape}; "
-                "generate the dataset again."
-            )
+            raise ValueError(f"{folder / name}.npy has the shape {found}, not {shape}; {_REMEDY}.")

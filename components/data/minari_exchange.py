@@ -15,8 +15,6 @@ Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
 """
 
 import os
-import shutil
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +27,7 @@ import numpy as np
 from minari.data_collector import EpisodeBuffer
 
 import components.environments  # registers the environment that the export names
+from components.core.files import temporary_name
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.history import gather_history
 
@@ -65,9 +64,9 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
     if target.exists():
         raise ValueError(f"{target} exists; remove it or export to another folder.")
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".minari-", dir=root))
     history = card.history if stacked else 1
-    try:
+    with temporary_name(root / target.name) as temporary:
+        temporary.mkdir()
         with _minari_root(temporary), warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # optional fields that we leave out
             created = minari.create_dataset_from_buffers(
@@ -85,8 +84,6 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
             if not (target.parent / file.name).exists():
                 os.replace(file, target.parent / file.name)
         os.replace(temporary / dataset_id, target)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return dataset_id
 
 
@@ -112,7 +109,7 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
             f"{dataset_id} was not exported by this project: it has no dataset card; "
             "export it with export_minari."
         )
-    card = DatasetCard.from_json(text)
+    card = DatasetCard.from_json(text, f"the card of {dataset_id}")
     features = len(card.frame_features)
     frames, actions, rewards, terminated, truncated, lengths = [], [], [], [], [], []
     for episode in source.iterate_episodes():

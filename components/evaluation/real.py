@@ -1,6 +1,6 @@
-"""Roll stored policies out on the real system: the only place that judges them.
+"""Roll stored policies out on the real system: the only place that says how good they are.
 
-All snapshots, all lambdas and all repetitions of a policy run as copies of one vectorised
+All snapshots, all proximities and all repetitions of a policy run as copies of one vectorised
 environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
 own environment and its own random stream, so its numbers do not depend on what is evaluated beside
 it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start. A termination is
@@ -30,13 +30,13 @@ class PolicyReturns:
     """What one stack of S snapshots achieved.
 
     Attributes:
-        lambdas: The grid, or a single NaN for policies without lambda.
-        returns: ``[S, lambdas, trajectories]`` discounted returns.
-        distances: ``[S, lambdas]`` mean Euclidean distance to the behaviour policy's action over
+        proximities: ``[N]`` the grid, or a single NaN for policies that take none.
+        returns: ``[S, N, trajectories]`` discounted returns.
+        distances: ``[S, N]`` mean Euclidean distance to the behaviour policy's action over
             all visited states, a terminal one and what follows it excluded.
     """
 
-    lambdas: npt.NDArray[np.float64]
+    proximities: npt.NDArray[np.float64]
     returns: npt.NDArray[np.float64]
     distances: npt.NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def evaluate_policies(
     """
     if not 0 < discount <= 1:
         raise ValueError(f"discount must lie in (0, 1], got {discount}.")
-    takes_proximity = policies[0].card.takes_lambda
+    takes_proximity = policies[0].card.takes_proximity
     grid = protocol.proximities if takes_proximity else (float("nan"),)
     snapshots, repeats = policies[0].lanes, protocol.trajectories
     per_policy = len(grid) * repeats
@@ -83,12 +83,12 @@ def evaluate_policies(
     clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
     grid_values = torch.tensor(grid, device=device).repeat_interleave(repeats)
     proximity = grid_values.expand(actors.lanes, -1) if takes_proximity else None
-    machines = [
+    systems = [
         make_batch(environment, snapshots * per_policy, threads, **parameters) for _ in policies
     ]
     histories = [
-        FrameHistory(machine.reset(lane_generator(key)), actors.card.history)
-        for machine, key in zip(machines, keys, strict=True)
+        FrameHistory(system.reset(lane_generator(key)), actors.card.history)
+        for system, key in zip(systems, keys, strict=True)
     ]
     shape = (len(policies), snapshots * per_policy)
     noises = [lane_generator(lane_key(key, "candidates")) for key in keys]
@@ -107,11 +107,11 @@ def evaluate_policies(
         np.add(distance, away.cpu().numpy(), out=distance, where=running)
         visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
-        for number, (machine, history) in enumerate(zip(machines, histories, strict=True)):
-            frames, rewards = machine.step(chosen[number])
+        for number, (system, history) in enumerate(zip(systems, histories, strict=True)):
+            frames, rewards = system.step(chosen[number])
             history.push(frames)
             returns[number] += discount**t * np.where(running[number], rewards, 0.0)
-            running[number] &= ~machine.terminated
+            running[number] &= ~system.terminated
         over = not running.any()
         progress(1.0 if over else (t + 1) / protocol.horizon)
         if over:

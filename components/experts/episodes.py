@@ -1,4 +1,4 @@
-"""Whole episodes of a policy on the real system, every copy from a start of its own."""
+"""Whole episodes of a policy on the real system, one per copy, each from its own start."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ import numpy.typing as npt
 from components.data.returns import window_returns
 from components.environments.mujoco.robots import Robots
 
-__all__ = ["EpisodeReturns", "episode_rewards", "judge"]
+__all__ = ["EpisodeReturns", "episode_rewards", "evaluate_episodes"]
 
 Array = npt.NDArray[np.float64]
 
 
 def episode_rewards(
     act: Callable[[Array], Array],
-    machine: Robots,
+    robots: Robots,
     generators: Sequence[np.random.Generator],
     horizon: int,
 ) -> Array:
-    """Let every copy live one episode.
+    """Run one episode of every copy.
 
     Args:
         act: Maps frames ``[N, F]`` to actions ``[N, A]``.
-        machine: N copies.
+        robots: N copies.
         generators: One per copy, for its start.
         horizon: Steps after which time is up.
 
@@ -32,12 +32,12 @@ def episode_rewards(
         ``[N, horizon]`` rewards in time order; 0 after a fall, whose own reward counts.
     """
     rewards = np.zeros((len(generators), horizon))
-    frames = machine.reset(generators)
+    frames = robots.reset(generators)
     alive = np.ones(len(generators), dtype=np.bool_)
     for step in range(horizon):
-        frames, reward = machine.step(act(frames))
+        frames, reward = robots.step(act(frames))
         rewards[alive, step] = reward[alive]
-        alive &= ~machine.terminated
+        alive &= ~robots.terminated
         if not alive.any():
             break
     return rewards
@@ -58,17 +58,26 @@ class EpisodeReturns:
     discounted_return_mean: float
 
 
-def judge(
+def evaluate_episodes(
     act: Callable[[Array], Array],
-    machine: Robots,
+    robots: Robots,
     generators: Sequence[np.random.Generator],
     *,
     horizon: int,
     discount: float,
     return_steps: int,
 ) -> EpisodeReturns:
-    """Judge a policy by one episode per copy, see :func:`episode_rewards`."""
-    rewards = episode_rewards(act, machine, generators, horizon)
+    """Evaluate a policy by one episode per copy.
+
+    Args:
+        act: Maps frames ``[N, F]`` to actions ``[N, A]``.
+        robots: N copies.
+        generators: One per copy, for its start.
+        horizon: Steps after which time is up.
+        discount: Per step, of the discounted returns.
+        return_steps: Steps that these sum over.
+    """
+    rewards = episode_rewards(act, robots, generators, horizon)
     returns = rewards.sum(axis=1)
     first = window_returns(rewards[:, :return_steps], discount, return_steps)
     return EpisodeReturns(float(returns.mean()), float(returns.std()), float(first.mean()))

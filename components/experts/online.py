@@ -1,4 +1,4 @@
-"""DDPG that acts: one environment, one memory and one learner per lane, stepped together.
+"""DDPG that gathers its own data: per lane one environment, one memory and one learner.
 
 Per environment step each lane acts (uniformly at random in the first steps, then by its policy
 with Gaussian noise), remembers the transition and, once it acts by its policy, makes one update on
@@ -9,9 +9,9 @@ Settings are those of the "DDPG" of Fujimoto et al., "Off-Policy Deep Reinforcem
 Exploration" (2019), whose imperfect demonstrations the thesis's robot data follow; the update is
 that of :class:`components.algorithms.ddpg.ActorCritic`, on frames as the system gives them.
 
-What a lane lives through depends on its key alone: starts are drawn from (key, episode number),
-everything else from (key, step). The state of the physics is in no checkpoint: the running episode
-is lived again from its start with the actions in memory, to the same numbers.
+The transitions of a lane depend on its key alone: starts are drawn from (key, episode number),
+everything else from (key, step). The state of the physics is in no checkpoint: a resumed run
+repeats the running episode from its start with the actions in memory, to the same numbers.
 """
 
 import copy
@@ -25,10 +25,10 @@ from torch import Tensor
 
 from components.algorithms import ddpg
 from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
-from components.core.tensors import module_state, with_prefix
 from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
 from components.networks import StackedMLP
+from components.training.state import module_state, with_prefix
 
 __all__ = ["ExpertConfig", "OnlineDDPG"]
 
@@ -66,7 +66,7 @@ class ExpertConfig:
         if self.evaluate_every > self.steps:
             raise ValueError(
                 f"evaluate_every={self.evaluate_every} is more than steps={self.steps}: no policy "
-                "would be judged; lower it."
+                "would be evaluated; lower it."
             )
         if self.exploration < 0:
             raise ValueError(f"exploration is {self.exploration}; give a number from 0.")
@@ -91,7 +91,7 @@ class OnlineDDPG:
     Args:
         config: Settings.
         keys: One random stream per lane.
-        machine: L copies of the system.
+        robots: L copies of the system.
         replay: Empty memory of L lanes.
         device: Where to learn.
     """
@@ -100,14 +100,14 @@ class OnlineDDPG:
         self,
         config: ExpertConfig,
         keys: Sequence[int],
-        machine: Robots,
+        robots: Robots,
         replay: Replay,
         device: torch.device,
     ) -> None:
         self.lanes = len(keys)
         self._config, self._keys, self._device = config, list(keys), device
-        self._machine, self._replay = machine, replay
-        widths = len(machine.frame_features), len(machine.action_features)
+        self._robots, self._replay = robots, replay
+        widths = len(robots.frame_features), len(robots.action_features)
         self._ddpg = ddpg.ActorCritic(config.learner, keys, *widths, device)
         self._best = copy.deepcopy(self._ddpg.actor).requires_grad_(False)
         self._best_return = torch.full((self.lanes,), -torch.inf, dtype=torch.float64)
@@ -123,7 +123,7 @@ class OnlineDDPG:
         )
         self._episode = np.zeros(self.lanes, dtype=np.int64)
         self._elapsed = np.zeros(self.lanes, dtype=np.int64)
-        self._frames = machine.reset(self._openings())
+        self._frames = robots.reset(self._openings())
 
     # -- update -----------------------------------------------------------------------------
 
@@ -146,8 +146,8 @@ class OnlineDDPG:
 
     def _interact(self, actions: Tensor) -> None:
         taken = actions.float().cpu().numpy()
-        frames, rewards = self._machine.step(taken.astype(np.float64))
-        fallen = self._machine.terminated
+        frames, rewards = self._robots.step(taken.astype(np.float64))
+        fallen = self._robots.terminated
         self._replay.append(self._frames, taken, rewards, fallen, frames)
         self._elapsed += 1
         self._frames = frames
@@ -159,7 +159,7 @@ class OnlineDDPG:
 
     def _begin(self, lanes: Mask) -> None:
         """Put lanes at the start of their current episode."""
-        self._frames[lanes] = self._machine.reset_copies(lanes, self._openings())
+        self._frames[lanes] = self._robots.reset_copies(lanes, self._openings())
 
     def _openings(self) -> list[np.random.Generator]:
         """Per lane the generator of its current episode's start."""
@@ -188,7 +188,7 @@ class OnlineDDPG:
 
     @property
     def best_step(self) -> list[int]:
-        """The step at which it was judged, per lane."""
+        """The step at which it had this return, per lane."""
         values: list[int] = self._best_step.tolist()
         return values
 
@@ -220,7 +220,7 @@ class OnlineDDPG:
         }
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned, and live the running episodes again.
+        """Put back what :meth:`state_dict` returned, and repeat the running episodes.
 
         Raises:
             ValueError: The files hold fewer transitions than the state counts.
@@ -240,4 +240,4 @@ class OnlineDDPG:
                 # Lanes that have not begun yet act as well; their start makes that undone.
                 past = np.full(self.lanes, self._replay.count - back)
                 actions = self._replay.actions(past).astype(np.float64)
-                self._frames = self._machine.step(actions)[0]
+                self._frames = self._robots.step(actions)[0]

@@ -1,4 +1,4 @@
-"""What L lanes have lived through: rows on the device, and the same rows in one file per lane.
+"""Transitions of L lanes: rows on the device, and the same rows in one file per lane.
 
 A row is (observation, action, reward, continues, next observation) in float32, so that drawing a
 batch is one gather. Rows reach their file as they happen and are never changed: a checkpoint of a

@@ -1,8 +1,9 @@
 """Train experts of one robot, one lane per seed, and keep the best policy of every seed.
 
-Every few thousand steps the current policies live whole episodes without noise; the policy with the
-highest mean return so far is kept. That choice uses the real system, as it may: an expert is part
-of how data are made. It flatters the kept policy, so whoever chooses one judges it anew.
+Every few thousand steps the current policies run whole episodes without noise, and the policy with
+the highest mean return so far is kept. This choice uses the real system: an expert is part of data
+generation. The return it is kept for is too high on average, since it is the best of many; choosing
+among seeds therefore evaluates the chosen policy in new episodes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +27,7 @@ from components.training.loop import Curves, TrainingLoop
 
 __all__ = ["train_experts", "without_denormals"]
 
-Machines = Callable[[int], Robots]
+MakeRobots = Callable[[int], Robots]
 """Makes so many copies of the robot."""
 
 
@@ -35,7 +36,7 @@ def train_experts(
     config: ExpertConfig,
     keys: Sequence[int],
     members: Sequence[str],
-    machines: Machines,
+    make_robots: MakeRobots,
     *,
     work: Path,
     device: torch.device,
@@ -49,7 +50,7 @@ def train_experts(
         config: Settings.
         keys: One random stream per lane.
         members: Names of the lanes, stable across restarts.
-        machines: Makes copies of the robot.
+        make_robots: Makes copies of the robot.
         work: Folder that survives a kill; holds the checkpoint and all transitions.
         device: Where to learn.
         progress: Told the finished fraction.
@@ -59,14 +60,14 @@ def train_experts(
         Per lane its best policy, whose card says at which step it was found; the mean return it
         had then; the learning curves.
     """
-    machine = machines(len(keys))
-    judged = machines(len(keys) * config.episodes)
-    widths = len(machine.frame_features), len(machine.action_features)
+    robots = make_robots(len(keys))
+    evaluated = make_robots(len(keys) * config.episodes)
+    widths = len(robots.frame_features), len(robots.action_features)
     files = [work / f"{member}.transitions" for member in members]
     replay = Replay(len(keys), config.steps, *widths, device, files)
-    learner = OnlineDDPG(config, keys, machine, replay, device)
+    learner = OnlineDDPG(config, keys, robots, replay, device)
 
-    def judge(done: int, curves: Curves) -> bool:
+    def evaluate(done: int, curves: Curves) -> bool:
         if done % config.evaluate_every == 0:
             starts = [
                 lane_generator(lane_key(key, "evaluation", done), episode)
@@ -74,7 +75,7 @@ def train_experts(
                 for episode in range(config.episodes)
             ]
             act = _deterministic(learner.actor, device)
-            rewards = episode_rewards(act, judged, starts, config.horizon)
+            rewards = episode_rewards(act, evaluated, starts, config.horizon)
             returns = torch.from_numpy(rewards.sum(axis=1)).view(len(keys), -1).mean(dim=1)
             learner.keep_best(done, returns)
             curves.add(done, {"evaluation/return": returns})
@@ -89,14 +90,14 @@ def train_experts(
         progress,
     )
     with without_denormals():
-        curves = loop.run(learner, judge)
+        curves = loop.run(learner, evaluate)
     card = PolicyCard(
         algorithm="ddpg",
         dataset=f"none, trained on {name} itself",
-        features=tuple(machine.frame_features),
+        features=tuple(robots.frame_features),
         history=1,
         actions=widths[1],
-        takes_lambda=False,
+        takes_proximity=False,
         steps=tuple(learner.best_step),
     )
     as_it_is = Normaliser(torch.zeros(len(keys), widths[0]), torch.ones(len(keys), widths[0]))

@@ -171,7 +171,7 @@ def fit_action_vae(
     Args:
         dataset: The log.
         config: Architecture and schedule.
-        key: Random stream, see :func:`components.networks.lane_key`.
+        key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
         monitor: Told the progress and the held-out losses.

@@ -120,7 +120,7 @@ def fit_behaviour_policies(
             features=tuple(dataset.card.frame_features),
             history=data.history,
             actions=data.action_width,
-            takes_lambda=False,
+            takes_proximity=False,
             steps=(updates,),
         )
         whole = Policy.of_networks(card, {"actor": fitting.best.affine()}, data.frame_scaling)

@@ -141,7 +141,7 @@ def fit_gaussian_behaviour(
     Args:
         dataset: The log.
         config: Architecture and schedule.
-        key: Random stream, see :func:`components.networks.lane_key`.
+        key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
         monitor: Told the progress and the held-out losses.
@@ -197,7 +197,7 @@ def fit_gaussian_behaviour(
         features=tuple(dataset.card.frame_features),
         history=data.history,
         actions=data.action_width,
-        takes_lambda=False,
+        takes_proximity=False,
         steps=(config.epochs * per_epoch,),
     )
     policy = Policy.of_networks(card, {"actor": fitting.best.mean_network()}, data.frame_scaling)

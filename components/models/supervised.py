@@ -16,15 +16,15 @@ import torch
 from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams
-from components.core.tensors import (
+from components.training.cuda_graphs import graphed
+from components.training.loop import Curves, Schedule, TrainingLoop, adam
+from components.training.state import (
     load_optimizer_state,
     module_state,
     optimizer_state,
     prefixed,
     with_prefix,
 )
-from components.training.cuda_graphs import graphed
-from components.training.loop import Curves, Schedule, TrainingLoop, adam
 
 __all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
 

@@ -1,13 +1,9 @@
-"""Stacked layers and random streams: the building blocks of every learner."""
+"""Networks of several lanes side by side: stacked layers, critics, Gaussian and recurrent ones.
 
-from components.core.random_streams import (
-    Draw,
-    LaneStreams,
-    lane_generator,
-    lane_key,
-    normal_draw,
-    spawn_generators,
-)
+In: widths, and one random generator per lane. Out: modules whose parameters have the lane axis
+first; a lane's numbers do not depend on its neighbours.
+"""
+
 from components.networks.critics import Critics, soft_clipped_maximum
 from components.networks.gaussian import TanhGaussian
 from components.networks.stacked import (
@@ -21,18 +17,12 @@ from components.networks.stacked import (
 
 __all__ = [
     "Critics",
-    "Draw",
-    "LaneStreams",
     "StackedLinear",
     "StackedMLP",
     "TanhGaussian",
-    "lane_generator",
     "lane_groups",
-    "lane_key",
     "lanewise_mean",
-    "normal_draw",
     "polyak_update",
     "select_lanes",
     "soft_clipped_maximum",
-    "spawn_generators",
 ]

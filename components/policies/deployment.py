@@ -40,7 +40,7 @@ def _apply_over(layers: Layers, x: Tensor, extra: Tensor) -> Tensor:
     return x.view(*extra.shape[:3], -1)
 
 
-def _favourite(critic: Layers, x: Tensor, candidates: Tensor) -> Tensor:
+def _best_candidate(critic: Layers, x: Tensor, candidates: Tensor) -> Tensor:
     """The candidate ``[P, B, A]`` of greatest value among ``[P, B, N, A]``."""
     values = _apply_over(critic, x, candidates).squeeze(-1)
     best = values.nan_to_num(nan=-torch.inf).argmax(dim=-1)[..., None, None]
@@ -65,14 +65,14 @@ def _gaussian(networks: Networks, x: Tensor, noise: Tensor, perturbation: float)
     mean, log_std = _apply(networks["actor"], x).chunk(2, dim=-1)
     std = log_std.clamp(*LOG_STD_RANGE).exp()
     candidates = torch.tanh(mean[:, :, None] + std[:, :, None] * noise)
-    return _favourite(networks["critic"], x, candidates)
+    return _best_candidate(networks["critic"], x, candidates)
 
 
 def _perturbed(networks: Networks, x: Tensor, noise: Tensor, perturbation: float) -> Tensor:
     latent = noise.clamp(-LATENT_CLIP, LATENT_CLIP)
     generated = _apply_over(networks["decoder"], x, latent).tanh_()
     shift = _apply_over(networks["actor"], x, generated).tanh_().mul_(perturbation)
-    return _favourite(networks["critic"], x, (generated + shift).clamp_(-1.0, 1.0))
+    return _best_candidate(networks["critic"], x, (generated + shift).clamp_(-1.0, 1.0))
 
 
 def _one_by_one(act: Callable[[Networks, Tensor, Tensor, float], Tensor]) -> Act:
@@ -108,6 +108,6 @@ KINDS: Final[Mapping[str, Act]] = MappingProxyType(
 - ``tanh``: the tanh of the actor's output.
 - ``clipped``: the actor's output clipped to [-1, 1].
 - ``clipped_tanh_layers``: the same with tanh between the actor's layers (MOReL).
-- ``gaussian_candidates``: the critic's favourite of N actions of a squashed Gaussian actor (BEAR).
-- ``perturbed_candidates``: its favourite of N decoded actions, each shifted by the actor (BCQ).
+- ``gaussian_candidates``: of N actions of a squashed Gaussian actor the critic's best (BEAR).
+- ``perturbed_candidates``: of N decoded actions, each shifted by the actor, its best (BCQ).
 """

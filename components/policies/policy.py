@@ -1,34 +1,38 @@
 """Deployable policies: stacks of networks with all they need to act on raw frames.
 
 An artifact is a folder of two files: ``policy.json`` (what the policy is: how it acts, history
-rule, features, whether it takes lambda, snapshot steps, format) and ``weights.safetensors``
-(numbers, the normaliser among them). Nothing in it is ever unpickled. The lane axis of a stored
-policy counts the snapshots of one training run.
+rule, features, whether it takes the proximity parameter, snapshot steps, format) and
+``weights.safetensors`` (numbers, the normaliser among them). Nothing in it is ever unpickled. The
+lane axis of a stored policy counts the snapshots of one training run.
 
 How a policy acts is named on its card, see :mod:`components.policies.deployment`. Most are
 deterministic networks. BCQ and BEAR choose, by a critic, among candidates drawn at every state; the
-caller supplies the normal noise, so that a policy's deeds depend on its own random stream alone.
+caller supplies the normal noise, so that a policy's actions depend on its own random stream alone.
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import torch
 from torch import Tensor
 
+from components.core.cards import CardFormat
+from components.core.files import write_text
 from components.core.normaliser import Normaliser
 from components.core.tensors import load_tensors, save_tensors
 from components.policies.deployment import KINDS, Layers
 
 __all__ = ["PROXIMITY_SCALING", "Policy", "PolicyCard"]
 
-FORMAT = "policy/2"
+FORMAT: Final = "policy/2"
+_STORED_NAMES: Final = MappingProxyType({"takes_proximity": "takes_lambda"})
+"""Fields that have another name in `policy.json`."""
 PROXIMITY_SCALING = Normaliser(torch.tensor([0.5]), torch.tensor([0.2887]))
-"""Moments of a uniform lambda, as LION's reference implementation scales its input."""
+"""Moments of a uniform proximity, as LION's reference implementation scales its input."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +45,7 @@ class PolicyCard:
         features: Names of a frame's features, in order.
         history: Frames in an observation, newest first; before the start the first one repeats.
         actions: Width of the action, every entry in [-1, 1].
-        takes_lambda: Whether the proximity parameter is an input.
+        takes_proximity: Whether the proximity parameter is an input.
         steps: Training step of every stored snapshot, one per lane.
         kind: How it acts, a name in :data:`~components.policies.deployment.KINDS`.
         candidates: N, actions drawn per state; 0 if the policy is deterministic.
@@ -56,13 +60,22 @@ class PolicyCard:
     features: tuple[str, ...]
     history: int
     actions: int
-    takes_lambda: bool
+    takes_proximity: bool
     steps: tuple[int, ...]
     kind: str = "tanh"
     candidates: int = 0
     noise: int = 0
     perturbation: float = 0.0
     ended_at: int | None = None
+
+    def __post_init__(self) -> None:
+        """Reject a way of acting that nobody knows.
+
+        Raises:
+            ValueError: Naming the known ones.
+        """
+        if self.kind not in KINDS:
+            raise ValueError(f"it acts by {self.kind!r}, known are {', '.join(KINDS)}")
 
     @classmethod
     def load(cls, path: Path) -> "PolicyCard":
@@ -72,21 +85,27 @@ class PolicyCard:
             FileNotFoundError: If there is none.
             ValueError: If it is damaged or of another format.
         """
-        if not path.is_file():
-            raise FileNotFoundError(f"{path.parent} holds no policy ({path.name} is missing).")
-        try:
-            values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            found = values.pop("format")
-            for name in ("features", "steps"):
-                values[name] = tuple(values[name])
-            if found != FORMAT:
-                raise ValueError(f"its format is {found!r} and this version reads {FORMAT!r}")
-            card = cls(**values)
-            if card.kind not in KINDS:
-                raise ValueError(f"it acts by {card.kind!r}, known are {', '.join(KINDS)}")
-            return card
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{path} cannot be used ({error}); train the policy again.") from error
+        return _CARDS.read(path)
+
+    def save(self, path: Path) -> None:
+        """Write ``policy.json``."""
+        values = {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
+        write_text(path, json.dumps({"format": FORMAT, **values}, indent=2) + "\n")
+
+
+def _amend(values: dict[str, Any]) -> None:
+    for name, stored in _STORED_NAMES.items():
+        if stored in values:
+            values[name] = values.pop(stored)
+
+
+_CARDS: Final = CardFormat(
+    kind=PolicyCard,
+    what="policy",
+    remedy="train the policy again",
+    version=("format", FORMAT),
+    amend=_amend,
+)
 
 
 @dataclass(frozen=True)
@@ -97,8 +116,8 @@ class Policy:
         card: What they are.
         networks: By role; ``actor`` is always there.
         frames: Scaling of a frame's features, ``[P, F]``.
-        proximity_scaling: Scaling of lambda ``[P, 1]`` before it enters the actor; unused without
-            lambda.
+        proximity_scaling: Scaling of the proximity ``[P, 1]`` before it enters the actor; unused by
+            policies that take none.
     """
 
     card: PolicyCard
@@ -172,7 +191,7 @@ class Policy:
 
         Args:
             histories: ``[P, B, H, F]`` raw frames, newest first.
-            proximity: ``[P, B]`` lambda in [0, 1]; needed exactly if the card says so.
+            proximity: ``[P, B]`` in [0, 1]; needed exactly if the card says so.
             noise: ``[P, B, candidates, noise]`` standard normal; needed exactly if the card
                 names candidates.
 
@@ -180,10 +199,10 @@ class Policy:
             ``[P, B, A]`` in [-1, 1].
 
         Raises:
-            ValueError: If lambda or noise is missing or not wanted.
+            ValueError: If proximity or noise is missing or not wanted.
         """
         for given, wanted, what in (
-            (proximity, self.card.takes_lambda, "lambda"),
+            (proximity, self.card.takes_proximity, "proximity"),
             (noise, self.card.candidates > 0, "noise"),
         ):
             if (given is not None) != wanted:
@@ -200,9 +219,7 @@ class Policy:
         """Write the artifact into an existing folder; ``policy.json`` appears last."""
         header = {"format": FORMAT, "networks": {r: len(n) for r, n in self.networks.items()}}
         save_tensors(folder / "weights.safetensors", self._tensors(), header)
-        temporary = folder / f".policy.json.{os.getpid()}.tmp"
-        temporary.write_text(json.dumps({"format": FORMAT, **asdict(self.card)}, indent=2) + "\n")
-        os.replace(temporary, folder / "policy.json")
+        self.card.save(folder / "policy.json")
 
     @classmethod
     def load(cls, folder: Path) -> "Policy":

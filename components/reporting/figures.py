@@ -1,4 +1,4 @@
-"""One figure per dataset: LION's return and distance over lambda, the others as dashed lines.
+"""One figure per dataset: policies over the proximity parameter, the others as dashed lines.
 
 The layout of thesis figure 6.5. Everything is drawn from stored summaries.
 """
@@ -18,16 +18,16 @@ Summary = Mapping[str, Any]
 def proximity_figure(
     dataset: str, summaries: Sequence[Summary], behaviour_return: float
 ) -> Figure | None:
-    """Draw a dataset's adaptive policies over lambda.
+    """Draw a dataset's adaptive policies over the proximity parameter.
 
     Args:
         dataset: Its name.
-        summaries: All summaries of this dataset; those whose points carry a lambda are curves,
-            the others dashed lines.
+        summaries: All summaries of this dataset; those whose points carry a proximity (stored as
+            `lambda`) are curves, the others dashed lines.
         behaviour_return: Mean return of the logging controller, exploration included.
 
     Returns:
-        The figure, or None where no policy takes lambda.
+        The figure, or None where no policy takes the parameter.
     """
     curves = [s for s in summaries if s["points"][0]["lambda"] is not None]
     fixed = [s for s in summaries if s["points"][0]["lambda"] is None]

@@ -1,28 +1,68 @@
 """Read back what a sweep has left on disk: table, summaries, behaviour returns. Files only.
 
-A report folder ``STORE/reports/SWEEP`` holds the table; the summaries behind it are artifacts of
-aggregation nodes, ``STORE/nodes/KEY/summary.json``, shared by all sweeps that needed them. A
-summary belongs to a report if all of its rows stand in the report's table, number by number: the
-table is stored in full precision. Nothing is recomputed.
+A report is a folder ``STORE/reports/SWEEP``. Its ``report.json`` names the nodes behind it by their
+keys: the summaries are artifacts of aggregation nodes, ``STORE/nodes/KEY/summary.json``, and the
+cards of the datasets ``STORE/nodes/KEY/dataset/card.json``. Sweeps share these nodes.
 """
 
-import csv
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import pandas as pd
 from matplotlib.figure import Figure
 
+from components.core.cards import CardFormat
+from components.core.files import read_json, write_json
 from components.reporting.figures import proximity_figure
-from components.reporting.tables import COLUMNS, result_rows
+from components.reporting.tables import read_results
 
-__all__ = ["StoredReport", "figures_over_lambda", "find_store", "open_report", "read_results"]
+__all__ = [
+    "ReportNodes",
+    "StoredReport",
+    "figures_over_proximity",
+    "find_store",
+    "open_report",
+]
 
-_TEXTS = ("dataset", "algorithm")
-_COUNTS = ("seeds", "policies")
-Row = Mapping[str, Any]
+_NODES: Final = "report.json"
+_VERSION: Final = ("format_version", 1)
+
+
+@dataclass(frozen=True)
+class ReportNodes:
+    """The nodes behind a report.
+
+    Attributes:
+        aggregations: Keys of its aggregation nodes, in the table's order.
+        datasets: Name of a dataset -> key of the node that generated it.
+    """
+
+    aggregations: tuple[str, ...]
+    datasets: Mapping[str, str]
+
+    def save(self, report: Path) -> None:
+        """Write them into a report's folder."""
+        write_json(report / _NODES, dict([_VERSION]) | asdict(self))
+
+    @classmethod
+    def load(cls, report: Path) -> "ReportNodes":
+        """Read them from a report's folder.
+
+        Raises:
+            FileNotFoundError: An older version wrote the report and did not store them.
+            ValueError: The file is damaged or of another version.
+        """
+        return _FORMAT.read(report / _NODES)
+
+
+_FORMAT: Final = CardFormat(
+    kind=ReportNodes,
+    what="complete report",
+    remedy="give the sweep's command again to write it",
+    version=_VERSION,
+)
 
 
 @dataclass(frozen=True)
@@ -31,14 +71,14 @@ class StoredReport:
 
     Attributes:
         folder: Where it lies; its name is the sweep's.
-        rows: The table, one mapping with all ``COLUMNS`` per row; None where a cell is empty.
+        table: As :func:`~components.reporting.tables.result_table` made it.
         summaries: The summaries behind the rows, in their order; fewer if artifacts are missing.
         behaviour_returns: Dataset -> mean discounted 100-step return of the logging controller.
     """
 
     folder: Path
-    rows: Sequence[Row]
-    summaries: Sequence[Row]
+    table: pd.DataFrame
+    summaries: Sequence[Mapping[str, Any]]
     behaviour_returns: Mapping[str, float]
 
 
@@ -69,7 +109,9 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
         sweep: Its name; the newest one if None.
 
     Raises:
-        FileNotFoundError: No such sweep, or none at all, has a report there.
+        FileNotFoundError: No such sweep, or none at all, has a report there, or an older version
+            wrote it.
+        ValueError: A file of the report is damaged.
     """
     tables = sorted(store.glob("reports/*/results.csv"), key=lambda path: path.stat().st_mtime)
     if not tables:
@@ -80,73 +122,20 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
             f"{store} holds no report of {sweep!r}; there are {', '.join(sorted(names))}."
         )
     table = tables[-1] if sweep is None else tables[names.index(sweep)]
-    rows = read_results(table)
-    found = _summaries(store / "nodes", rows)
-    returns = {}
-    for folder, summary in found:
-        value = _behaviour_return(folder)
-        if value is not None:
-            returns[summary["dataset"]] = value
-    return StoredReport(table.parent, rows, [summary for _, summary in found], returns)
+    behind = ReportNodes.load(table.parent)
+    nodes = store / "nodes"
+    summaries = [read_json(nodes / key / "summary.json") for key in behind.aggregations]
+    cards = {
+        name: read_json(nodes / key / "dataset" / "card.json")
+        for name, key in behind.datasets.items()
+    }
+    returns = {
+        name: float(card["first_window_return_mean"]) for name, card in cards.items() if card
+    }
+    return StoredReport(table.parent, read_results(table), [s for s in summaries if s], returns)
 
 
-def read_results(path: Path) -> list[dict[str, Any]]:
-    """A ``results.csv`` as typed rows, the inverse of ``results_csv``.
-
-    Raises:
-        ValueError: The file has other columns.
-    """
-    with path.open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise ValueError(
-                f"{path} has the columns {reader.fieldnames}; a table of results has "
-                f"{', '.join(COLUMNS)}."
-            )
-        return [{name: _value(name, text) for name, text in row.items()} for row in reader]
-
-
-def _value(column: str, text: str) -> str | int | float | None:
-    if column in _TEXTS:
-        return text
-    if not text:
-        return None
-    return int(text) if column in _COUNTS else float(text)
-
-
-def _summaries(nodes: Path, rows: Sequence[Row]) -> list[tuple[Path, dict[str, Any]]]:
-    """Folder and content of the summaries whose rows are among ``rows``, in their order."""
-    place = {_identity(row): number for number, row in reversed(list(enumerate(rows)))}
-    found = {}
-    for path in nodes.glob("*/summary.json"):
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        own = [_identity(row) for row in result_rows([summary])]
-        if own and all(row in place for row in own):
-            found[place[own[0]]] = path.parent, summary
-    return [found[number] for number in sorted(found)]
-
-
-def _identity(row: Row) -> tuple[Any, ...]:
-    """A row by its text, so that what is not a number equals itself too."""
-    return tuple(str(row[name]) for name in COLUMNS)
-
-
-def _behaviour_return(node: Path) -> float | None:
-    """The return on the card of the dataset that a node was made from, however indirectly."""
-    card = node / "dataset" / "card.json"
-    if card.is_file():
-        return float(json.loads(card.read_text(encoding="utf-8"))["first_window_return_mean"])
-    record = node / "node.json"
-    if not record.is_file():
-        return None
-    for key in json.loads(record.read_text(encoding="utf-8"))["inputs"].values():
-        value = _behaviour_return(node.parent / key)
-        if value is not None:
-            return value
-    return None
-
-
-def figures_over_lambda(report: StoredReport) -> dict[str, Figure]:
+def figures_over_proximity(report: StoredReport) -> dict[str, Figure]:
     """A figure per dataset that has policies with a proximity parameter."""
     figures = {}
     for dataset, behaviour_return in report.behaviour_returns.items():

@@ -1,63 +1,65 @@
-"""The result table: one row per dataset, algorithm and lambda, beside the thesis's numbers."""
+"""The result table: one row per dataset, algorithm and proximity, beside the thesis's numbers.
 
-import csv
-import io
+A statistic that is not a number (a policy diverged) reads ``nan`` in the CSV file. An empty cell
+means that there is no such number: the policy takes no proximity, or the thesis has no result. No
+column may have both, so that NaN in a table says which it is.
+"""
+
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
 
 __all__ = [
     "COLUMNS",
     "ended_notes",
     "markdown_table",
-    "result_rows",
+    "read_results",
+    "result_table",
     "results_csv",
     "thesis_numbers",
 ]
 
-COLUMNS = (
-    "dataset",
-    "algorithm",
-    "lambda",
-    "seeds",
-    "policies",
-    "tenth_percentile",
-    "standard_error",
-    "mean",
-    "std",
-    "iqm",
-    "thesis_tenth_percentile",
-    "thesis_standard_error",
-)
-_STATISTICS = ("tenth_percentile", "standard_error", "mean", "std", "iqm")
-Row = Mapping[str, Any]
+_STATISTICS: Final = ("tenth_percentile", "standard_error", "mean", "std", "iqm")
+_TYPES: Final = {
+    "dataset": "object",
+    "algorithm": "object",
+    "proximity": "float64",
+    "seeds": "int64",
+    "policies": "int64",
+    **dict.fromkeys(_STATISTICS, "float64"),
+    "thesis_tenth_percentile": "float64",
+    "thesis_standard_error": "float64",
+}
+COLUMNS: Final = tuple(_TYPES)
+_FORMER_NAMES: Final = {"lambda": "proximity"}
+"""Columns that had another name in older files; in summaries they still have it."""
 
 
 @cache
 def thesis_numbers() -> Mapping[tuple[str, str], tuple[float, float]]:
     """Tables 5.3 and 5.4: (dataset, algorithm) -> (10th percentile, standard error)."""
-    text = (
-        resources.files("components.reporting")
-        .joinpath("thesis", "tables_5_3_and_5_4.csv")
-        .read_text(encoding="utf-8")
-    )
-    return {
-        (row["dataset"], row["algorithm"]): (
-            float(row["tenth_percentile_return"]),
-            float(row["standard_error"]),
-        )
-        for row in csv.DictReader(io.StringIO(text))
-    }
+    file = resources.files("components.reporting").joinpath("thesis", "tables_5_3_and_5_4.csv")
+    with file.open(encoding="utf-8") as opened:
+        table = pd.read_csv(opened)
+    pairs = zip(table["dataset"], table["algorithm"], strict=True)
+    numbers = zip(table["tenth_percentile_return"], table["standard_error"], strict=True)
+    return dict(zip(pairs, numbers, strict=True))
 
 
-def result_rows(summaries: Iterable[Row]) -> list[dict[str, Any]]:
-    """Flatten stored summaries into rows with all ``COLUMNS``.
+def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """One row per point of every summary, with all ``COLUMNS``.
 
     Args:
-        summaries: Each with ``dataset``, ``algorithm``, ``seeds`` and ``points``, a list of
-            statistics with ``lambda`` (None for fixed policies).
+        summaries: As aggregation stores them: each with ``dataset``, ``algorithm``, ``seeds`` and
+            ``points``, a list of statistics with ``lambda`` (None for fixed policies).
+
+    Returns:
+        The table; NaN where there is no proximity or no number of the thesis.
     """
     rows = []
     for summary in summaries:
@@ -67,7 +69,7 @@ def result_rows(summaries: Iterable[Row]) -> list[dict[str, Any]]:
                 {
                     "dataset": summary["dataset"],
                     "algorithm": summary["algorithm"],
-                    "lambda": point["lambda"],
+                    "proximity": point["lambda"],
                     "seeds": len(summary["seeds"]),
                     "policies": point["policies"],
                     **{name: point[name] for name in _STATISTICS},
@@ -75,10 +77,10 @@ def result_rows(summaries: Iterable[Row]) -> list[dict[str, Any]]:
                     "thesis_standard_error": thesis[1],
                 }
             )
-    return rows
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype(_TYPES)
 
 
-def ended_notes(summaries: Iterable[Row]) -> list[str]:
+def ended_notes(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
     """A sentence for every seed whose training ended because its loss was no longer finite."""
     return [
         f"{summary['algorithm']} on {summary['dataset']}, seed {seed}: its loss was no longer "
@@ -88,40 +90,47 @@ def ended_notes(summaries: Iterable[Row]) -> list[str]:
     ]
 
 
-def results_csv(rows: Sequence[Row]) -> str:
-    """All rows as CSV; numbers in full precision, missing ones empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([{k: "" if v is None else v for k, v in row.items()} for row in rows])
-    return text.getvalue()
+def results_csv(table: pd.DataFrame) -> str:
+    """The table as CSV, numbers in full precision."""
+    written: str = table.assign(**{name: table[name].map(str) for name in _STATISTICS}).to_csv(
+        index=False, lineterminator="\n"
+    )
+    return written
+
+
+def read_results(path: Path) -> pd.DataFrame:
+    """Read a ``results.csv``, the inverse of :func:`results_csv`.
+
+    Raises:
+        ValueError: The file has other columns.
+    """
+    table = pd.read_csv(path, float_precision="round_trip").rename(columns=_FORMER_NAMES)
+    if tuple(table.columns) != COLUMNS:
+        raise ValueError(
+            f"{path} has the columns {', '.join(table.columns)}; a table of results has "
+            f"{', '.join(COLUMNS)}."
+        )
+    return table.astype(_TYPES)
 
 
 def _cell(column: str, value: Any) -> str:
-    if value is None:
-        return ""
-    if column == "lambda":
-        return f"{value:.2f}"
+    if column in _STATISTICS and not math.isfinite(value):
+        return "not finite"
     if isinstance(value, float):
-        return "not finite" if not math.isfinite(value) else f"{value:.1f}"
+        digits = 2 if column == "proximity" else 1
+        return "" if math.isnan(value) else f"{value:.{digits}f}"
     return str(value)
 
 
-def markdown_table(rows: Sequence[Row]) -> str:
-    """The rows as an aligned Markdown table, returns with one decimal."""
-    cells = [list(COLUMNS)] + [[_cell(c, row[c]) for c in COLUMNS] for row in rows]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(COLUMNS))]
-    numeric = [column not in ("dataset", "algorithm") for column in COLUMNS]
-
-    def line(values: Sequence[str]) -> str:
-        padded = [
-            v.rjust(w) if right else v.ljust(w)
-            for v, w, right in zip(values, widths, numeric, strict=True)
-        ]
-        return "| " + " | ".join(padded) + " |"
-
-    rule = [
-        ("-" * (w - 1) + ":") if right else "-" * w
-        for w, right in zip(widths, numeric, strict=True)
-    ]
-    return "\n".join([line(cells[0]), line(rule), *map(line, cells[1:])]) + "\n"
+def markdown_table(table: pd.DataFrame) -> str:
+    """The table as aligned Markdown, returns with one decimal."""
+    rows = table.to_dict("records")
+    columns = [[name, *(_cell(name, row[name]) for row in rows)] for name in COLUMNS]
+    lines = []
+    for name, cells in zip(COLUMNS, columns, strict=True):
+        width = max(map(len, cells))
+        text = name in ("dataset", "algorithm")
+        rule = "-" * width if text else "-" * (width - 1) + ":"
+        cells.insert(1, rule)
+        lines.append([cell.ljust(width) if text else cell.rjust(width) for cell in cells])
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in zip(*lines, strict=True))

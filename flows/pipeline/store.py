@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError
-from flows.pipeline.files import read_json, write_json
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from flows.pipeline.files import write_json
+from components.core.files import write_json
 
 __all__ = ["FAILURE_FILE", "GivenUp", "Job", "TaskContext", "TaskFunction", "load_task"]
 

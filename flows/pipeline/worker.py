@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from flows.pipeline.files import write_json
+from components.core.files import write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_sentence
 from flows.pipeline.task import FAILURE_FILE, GivenUp, Job, TaskContext, load_task

@@ -35,11 +35,12 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         for seed in seeds:
             stored.append(read_input(job, f"seed{seed}", _load_arrays, "returns.npz"))
         last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
-        pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, lambdas]
+        pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, N]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
         distances = np.stack([s["distances"][-last:] for s in stored]).mean(axis=(0, 1))
         points = []
-        for column, value in enumerate(stored[0]["lambdas"]):
+        proximities = stored[0]["lambdas"]  # [N], under the name in stored files
+        for column, value in enumerate(proximities):
             statistics = summarise(pool[:, column]).as_dict()
             spread = float(per_seed[:, column].std(ddof=1)) if len(seeds) > 1 else 0.0
             points.append(
@@ -67,7 +68,7 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         if points[0]["lambda"] is None:
             write_numbers(job.out / "metrics.json", {name: points[0][name] for name in shown})
         else:
-            steps = percent(stored[0]["lambdas"])
-            curves = {f"over_lambda/{n}": (steps, [p[n] for p in points]) for n in shown}
+            steps = percent(proximities)
+            curves = {f"over_proximity/{n}": (steps, [p[n] for p in points]) for n in shown}
             write_curves(job.out / "curves.npz", curves)
         inherit_datasets(job, f"seed{seeds[0]}")

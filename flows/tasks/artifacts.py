@@ -75,11 +75,11 @@ def config_object(kind: type, fields: Mapping[str, Any]) -> Any:
 
 
 def inherit_datasets(job: Job, role: str) -> None:
-    """A run that judges policies names the dataset these were trained on."""
+    """Name the dataset that the evaluated policies were trained on."""
     listed = job.inputs[role] / "datasets.json"
     (job.out / "datasets.json").write_text(listed.read_text(encoding="utf-8"), encoding="utf-8")
 
 
-def percent(lambdas: np.ndarray) -> list[int]:
-    """Lambda as the whole-numbered step of a curve."""
-    return [round(100 * float(value)) for value in lambdas]
+def percent(proximities: np.ndarray) -> list[int]:
+    """Proximities as the whole-numbered steps of a curve."""
+    return [round(100 * float(value)) for value in proximities]

@@ -36,24 +36,24 @@ def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
         with (job.out / "returns.npz").open("wb") as file:
             np.savez(
                 file,
-                lambdas=result.lambdas,
+                lambdas=result.proximities,  # the name in stored files
                 returns=result.returns,
                 distances=result.distances,
                 steps=np.asarray(policy.card.steps),
                 ended_at=np.asarray([] if policy.card.ended_at is None else [policy.card.ended_at]),
             )
-        means = result.returns.mean(axis=-1)  # [S, lambdas]
+        means = result.returns.mean(axis=-1)  # [S, proximities]
         curves = {}
-        for column, value in enumerate(result.lambdas):
+        for column, value in enumerate(result.proximities):
             if np.isnan(value):
                 curves["evaluation/return"] = (policy.card.steps, means[:, column])
                 curves["evaluation/distance"] = (policy.card.steps, result.distances[:, column])
             elif round(100 * value) % 25 == 0:
-                name = f"evaluation/return_at_lambda_{value:.2f}"
+                name = f"evaluation/return_at_proximity_{value:.2f}"
                 curves[name] = (policy.card.steps, means[:, column])
-        if policy.card.takes_lambda:
-            steps = percent(result.lambdas)
-            curves["over_lambda/return"] = (steps, means[-1])
-            curves["over_lambda/distance"] = (steps, result.distances[-1])
+        if policy.card.takes_proximity:
+            steps = percent(result.proximities)
+            curves["over_proximity/return"] = (steps, means[-1])
+            curves["over_proximity/distance"] = (steps, result.distances[-1])
         write_curves(job.out / "curves.npz", curves)
         inherit_datasets(job, "policy")

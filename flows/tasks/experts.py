@@ -11,17 +11,17 @@ from typing import Any
 
 import torch
 
+from components.core.files import read_json
 from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
 from components.data.sources.robots import ROBOT_DATASETS, ROBOTS, make_robots
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import simulator_version
-from components.experts.episodes import judge
+from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
 from components.policies.policy import Policy
-from flows.pipeline.files import read_json
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import config_object, read_input, write_curves, write_numbers
 from flows.tasks.memory import keep_freed_memory
@@ -31,7 +31,7 @@ __all__ = ["choose_expert", "train_expert"]
 _REACHED = "reached.json"
 
 
-def _machine(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
+def _robots(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
     return make_robots(config["robot"], copies, config["physics"], threads)
 
 
@@ -44,7 +44,7 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         config_object(ExpertConfig, first["training"]),
         [lane_key("expert", first["robot"], job.config["seed"]) for job in jobs],
         [job.key for job in jobs],
-        lambda copies: _machine(first, copies, context.threads),
+        lambda copies: _robots(first, copies, context.threads),
         work=context.work,
         device=torch.device(context.device),
         progress=context.progress,
@@ -59,7 +59,7 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
 
 
 def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Expert choice: `expert/` holds the best seed's policy, judged by episodes of its own."""
+    """Expert choice: `expert/` holds the best seed's policy and its returns in new episodes."""
     for job in jobs:
         config = job.config
         reached = {
@@ -72,9 +72,9 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         return_steps = min(RETURN_STEPS, training["horizon"])
         discount = ROBOT_DATASETS[config["robot"]].discount
         key = lane_key("expert", config["robot"], "verdict")
-        verdict = judge(
+        returns = evaluate_episodes(
             lambda frames, policy=policy: act_in_double(policy, frames),
-            _machine(config, config["episodes"], context.threads),
+            _robots(config, config["episodes"], context.threads),
             [lane_generator(key, episode) for episode in range(config["episodes"])],
             horizon=training["horizon"],
             discount=discount,
@@ -92,11 +92,11 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             episodes=config["episodes"],
             return_steps=return_steps,
             discount=discount,
-            **asdict(verdict),
+            **asdict(returns),
         )
         (job.out / "expert").mkdir()
         Expert(policy, card).save(job.out / "expert")
-        write_numbers(job.out / "metrics.json", {**asdict(verdict), "seed": best})
+        write_numbers(job.out / "metrics.json", {**asdict(returns), "seed": best})
 
 
 def _read_reached(path: Path) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 
 from optuna.trial import Trial, TrialState
 
+from components.core.files import read_json
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
-from flows.pipeline.files import read_json
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.store import ArtifactStore

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from flows.pipeline.files import write_text
+from components.core.files import write_text
 
 __all__ = ["TunedModel", "read_tuned", "tuned_path", "write_tuned"]
 

@@ -141,7 +141,7 @@ def policy_card(dataset: OfflineDataset | None = None, **changes: object) -> Pol
         "features": FEATURES if dataset is None else dataset.card.frame_features,
         "history": 3 if dataset is None else dataset.card.history,
         "actions": 3 if dataset is None else len(dataset.card.action_features),
-        "takes_lambda": False,
+        "takes_proximity": False,
         "steps": (1,),
     }
     return PolicyCard(**(fields | changes))

@@ -48,8 +48,8 @@ def test_a_killed_ray_sweep_ends_with_the_numbers_of_a_serial_one(tmp_path: Path
     expected = results(tmp_path / "serial")
     rows = list(csv.DictReader(expected.splitlines()))
     assert tuple(rows[0]) == COLUMNS
-    # LION at lambda 0, 0.5 and 1, and the others.
-    assert [row["lambda"] for row in rows] == ["0.0", "0.5", "1.0", "", "", ""]
+    # LION at proximity 0, 0.5 and 1, and the others.
+    assert [row["proximity"] for row in rows] == ["0.0", "0.5", "1.0", "", "", ""]
     assert table.startswith("| dataset")
 
     killed = tmp_path / "killed"

@@ -9,18 +9,18 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 
+from components.core.files import write_json
 from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco.specifications import HOPPER
 from components.environments.rendering import Take, drawing_library
 from components.policies.policy import Policy
 from flows import render
 from flows.command_line import run_door
-from flows.pipeline.files import write_json
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 from tests.components.synthetic import constant_policy, make_log
 
-DATA, HOPPING, TWIN, LAMBDA, STEERING = (letter * 32 for letter in "abcde")
+DATA, HOPPING, TWIN, ADAPTIVE, INDUSTRIAL = (letter * 32 for letter in "abcde")
 MACHINE_DATA = "f" * 32
 
 
@@ -52,14 +52,14 @@ def add_policy(store: ArtifactStore, key: str, name: str, dataset: str, **card: 
 @pytest.fixture
 def store(tmp_path: Path) -> ArtifactStore:
     store = ArtifactStore(tmp_path / "runs")
-    for key in (DATA, HOPPING, TWIN, LAMBDA, STEERING, MACHINE_DATA):
+    for key in (DATA, HOPPING, TWIN, ADAPTIVE, INDUSTRIAL, MACHINE_DATA):
         store.path(key).mkdir()
     add_dataset(store, DATA, HOPPER_ID, {"physics": "v3"})
     add_dataset(store, MACHINE_DATA, INDUSTRIAL_BENCHMARK_ID, {"setpoint": 70.0})
     add_policy(store, HOPPING, "bc/hopper/seed0", DATA)
     add_policy(store, TWIN, "bc/hopper/seed1", DATA)
-    add_policy(store, LAMBDA, "lion/hopper/seed0", DATA, takes_lambda=True)
-    add_policy(store, STEERING, "bc/bad-0.4/seed0", MACHINE_DATA)
+    add_policy(store, ADAPTIVE, "lion/hopper/seed0", DATA, takes_proximity=True)
+    add_policy(store, INDUSTRIAL, "bc/bad-0.4/seed0", MACHINE_DATA)
     return store
 
 
@@ -152,15 +152,18 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
         (["run=x", "out=a.avi"], "out=a.avi must end in .mp4 or .gif."),
         (
             ["run=x", "out=a.gif", "sise=3"],
-            "Unknown key 'sise'; valid keys there: run, out, lambda, steps",
+            "Unknown key 'sise'; valid keys there: run, out, proximity, steps",
         ),
         (["run=x", "out=a.gif", "size=40"], "size='40': Input should be a multiple of 16."),
-        (["run=x", "out=a.gif", "lambda=2"], "lambda='2': Input should be less than or equal"),
+        (
+            ["run=x", "out=a.gif", "proximity=2"],
+            "proximity='2': Input should be less than",
+        ),
         (["run=x", "out=a.gif", "steps"], "'steps' is not a setting; write key=value"),
         (["run=bc/hopper/seed9", "out=a.gif"], "holds no such finished run; give the id of a run"),
         ([f"run={DATA}", "out=a.gif"], "is no policy but a run of data_generation; give a run of"),
-        (["run=bc/hopper/seed0", "out=a.gif", "lambda=1"], "a policy of test takes no lambda."),
-        (["run=lion/hopper/seed0", "out=a.gif"], "needs lambda; add e.g. lambda=0.5."),
+        (["run=bc/hopper/seed0", "out=a.gif", "proximity=1"], "takes no proximity."),
+        (["run=lion/hopper/seed0", "out=a.gif"], "needs proximity; add e.g. proximity=0.5."),
         (["run=bc/bad-0.4/seed0", "out=a.gif"], "which has no picture; only policies of the robot"),
     ],
 )
@@ -184,3 +187,9 @@ def test_a_name_of_several_runs_needs_a_key(store: ArtifactStore) -> None:
     with pytest.raises(render.SettingsError, match=f"give one of the keys {again}, {HOPPING}"):
         render.find_policy(store, "bc/hopper/seed0")
     assert render.find_policy(store, HOPPING)["key"] == HOPPING
+
+
+@pytest.mark.parametrize("word", ["proximity", "lambda"])
+def test_older_command_lines_call_the_proximity_lambda(word: str) -> None:
+    settings = render.load_render_settings(["run=x", "out=a.gif", f"{word}=0.25"])
+    assert settings.proximity == 0.25

@@ -6,14 +6,15 @@ from typing import Any
 
 import pytest
 
+from components.core.files import write_json
 from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
-from flows import full_benchmark
+from components.reporting.stored import open_report
 from flows.configuration.settings import load_settings
-from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
 from flows.render import find_policy, load_render_settings
+from flows.report import report
 
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
@@ -48,18 +49,21 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
         name, first_window_return_mean, environment = "mediocre-0.2", -2.0, INDUSTRIAL_BENCHMARK_ID
 
     drawn = []
-    monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
+    monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     monkeypatch.setattr(
-        full_benchmark, "proximity_figure", lambda name, summaries, mean: drawn.extend(summaries)
+        report, "proximity_figure", lambda name, summaries, mean: drawn.extend(summaries)
     )
-    [table, _], rows, _ = full_benchmark.write_report(tmp_path / "report", plan, store)
+    written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
+    [table, _] = written.files
     labels = ["mopo-penalty-0", "mopo-penalty-2.5", "lion"]
-    assert [row["algorithm"] for row in rows] == labels
+    assert written.table["algorithm"].tolist() == labels
+    assert {name.split("/")[2] for name in written.headline} == set(labels)
     with table.open(encoding="utf-8") as file:
         read = list(csv.DictReader(file))
     assert [row["algorithm"] for row in read] == labels
     assert len({row["mean"] for row in read}) == 3
     assert [summary["algorithm"] for summary in drawn] == ["lion"]
+    assert [s["algorithm"] for s in open_report(tmp_path, "sweep").summaries] == labels
 
 
 def test_the_report_says_how_to_watch_the_policies_of_a_robot(
@@ -76,11 +80,11 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
     class Card:
         name, first_window_return_mean, environment = "mediocre-0.2", 2.0, INDUSTRIAL_BENCHMARK_ID
 
-    monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
-    [_, text], *_ = full_benchmark.write_report(tmp_path / "machine", plan, store)
+    monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
+    [_, text] = report.write_report(tmp_path / "industrial", plan, store).files
     assert "flows.render" not in text.read_text(encoding="utf-8")
     Card.environment = HOPPER_ID
-    [_, text], *_ = full_benchmark.write_report(tmp_path / "robot", plan, store)
+    [_, text] = report.write_report(tmp_path / "robot", plan, store).files
     lines = [line for line in text.read_text(encoding="utf-8").splitlines() if "watch" in line]
     assert len(lines) == len(policies) == 3
     for node, line in zip(policies, lines, strict=True):

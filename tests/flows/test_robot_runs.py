@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from components.core.files import read_json
 from flows.configuration.settings import load_settings
-from flows.pipeline.files import read_json
 from flows.planning.benchmark import benchmark_plan
 from tests.flows.grid import finished
 

@@ -10,19 +10,19 @@ import torch
 from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams
-from components.core.tensors import (
-    load_optimizer_state,
-    module_state,
-    optimizer_state,
-    prefixed,
-    with_prefix,
-)
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.policies.policy import Policy, PolicyCard
 from components.training.cuda_graphs import BranchingLearner
 from components.training.loop import adam
+from components.training.state import (
+    load_optimizer_state,
+    module_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
 
 __all__ = [
     "LearnerInputs",

@@ -80,7 +80,7 @@ def train_policies(
             features=tuple(data.card.frame_features),
             history=data.card.history,
             actions=len(data.card.action_features),
-            takes_lambda=algorithm.takes_proximity,
+            takes_proximity=algorithm.takes_proximity,
             steps=(0,),
         )
         for data in datasets

@@ -190,7 +190,7 @@ def fit_mlp_ensemble(
     Args:
         dataset: Its card must tell what is known and what is to be learned of its machine.
         config: Architecture and schedule; its class is the kind of ensemble.
-        key: Random stream, see :func:`components.networks.lane_key`.
+        key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
         monitor: Told the progress and the held-out losses.

@@ -27,12 +27,6 @@ import torch
 from torch import Tensor
 
 from components.core.random_streams import LaneStreams, lane_key, spawn_generators
-from components.core.tensors import (
-    load_optimizer_state,
-    optimizer_state,
-    prefixed,
-    with_prefix,
-)
 from components.data.dataset import OfflineDataset
 from components.models.recurrent_ensemble.ensemble import (
     RecurrentEnsemble,
@@ -43,6 +37,12 @@ from components.models.recurrent_ensemble.windows import TrainingWindows
 from components.models.supervised import UNWATCHED, Fit, Monitor
 from components.training.cuda_graphs import graphed
 from components.training.loop import Curves, Schedule, TrainingLoop, adam
+from components.training.state import (
+    load_optimizer_state,
+    optimizer_state,
+    prefixed,
+    with_prefix,
+)
 
 __all__ = ["fit_recurrent_ensemble"]
 
@@ -182,7 +182,7 @@ def fit_recurrent_ensemble(
     Args:
         dataset: Its card must tell what is known and what is to be learned of its machine.
         config: Architecture and schedule.
-        key: Random stream, see :func:`components.networks.lane_key`.
+        key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
         monitor: Told the progress and the held-out losses.

@@ -12,8 +12,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from components.core.files import read_json
 from flows.pipeline.errors import TrackingError
-from flows.pipeline.files import read_json
 from flows.pipeline.json_lines import append_line, cut_half_line, read_lines
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.sweep_lock import hold_sweep

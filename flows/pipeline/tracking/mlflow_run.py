@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.pipeline.files import read_json
+from components.core.files import read_json
 
 __all__ = ["RunContent", "flat", "link_tree", "read_content"]
 

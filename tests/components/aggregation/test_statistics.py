@@ -62,7 +62,7 @@ def test_order_does_not_matter() -> None:
 
 
 def test_pool_takes_the_last_snapshots_of_every_seed_in_order() -> None:
-    first = np.arange(4 * 2 * 3, dtype=np.float64).reshape(4, 2, 3)  # [S, lambdas, trajectories]
+    first = np.arange(4 * 2 * 3, dtype=np.float64).reshape(4, 2, 3)  # [S, N, trajectories]
     pool = pool_policies([first, first + 100.0], 2)
     assert pool.shape == (4, 2)
     assert pool.tolist() == [[13.0, 16.0], [19.0, 22.0], [113.0, 116.0], [119.0, 122.0]]

@@ -67,7 +67,7 @@ def test_policies_act_within_bounds_and_survive_storage(
     has_rate = hasattr(ALGORITHMS[name].config, "learning_rate")
     made = learner(name, [log] * 2, range(2), **({"learning_rate": 0.03} if has_rate else {}))
     run(made, 20)
-    policy = made.policy(policy_card(log, takes_lambda=takes_proximity))
+    policy = made.policy(policy_card(log, takes_proximity=takes_proximity))
     assert policy.lanes == 2
     shape = (2, 9, log.card.history, len(log.card.frame_features))
     histories = 50.0 * torch.randn(shape, generator=torch.Generator().manual_seed(0))
@@ -87,7 +87,7 @@ def test_deployed_policy_sees_what_the_learner_saw(name: str, log: OfflineDatase
     made = learner(name, [log], [0])
     run(made, 4)
     takes_proximity = ALGORITHMS[name].takes_proximity
-    policy = made.policy(policy_card(log, takes_lambda=takes_proximity))
+    policy = made.policy(policy_card(log, takes_proximity=takes_proximity))
     index = torch.tensor([[0, 1, 7, 39, 40, 200]])
     observations = made._data.observations(index)
     histories = made._data.denormalise_history(observations)
@@ -102,7 +102,7 @@ def test_deployed_policy_sees_what_the_learner_saw(name: str, log: OfflineDatase
 def test_acting_needs_what_the_policy_takes(name: str) -> None:
     made = learner(name, [LOG], [0])
     observations = made._data.observations(torch.tensor([[0, 1]]))
-    policy = made.policy(policy_card(LOG, takes_lambda=ALGORITHMS[name].takes_proximity))
+    policy = made.policy(policy_card(LOG, takes_proximity=ALGORITHMS[name].takes_proximity))
     if ALGORITHMS[name].takes_proximity:
         with pytest.raises(ValueError, match="need proximity"):
             made.act(observations)
@@ -125,7 +125,7 @@ def test_values_and_saturation_of_actor_critics_are_logged(name: str) -> None:
 @every_algorithm
 def test_a_policy_does_not_move_when_training_goes_on(name: str) -> None:
     made = learner(name, [LOG], [0])
-    policy = made.policy(policy_card(LOG, takes_lambda=ALGORITHMS[name].takes_proximity))
+    policy = made.policy(policy_card(LOG, takes_proximity=ALGORITHMS[name].takes_proximity))
     before = [weight.clone() for weight, _ in policy.layers]
     run(made, 4)
     for old, (weight, _) in zip(before, policy.layers, strict=True):

@@ -64,7 +64,7 @@ def virtual_trajectory(policy: list, behaviour: list, row: int, proximity: float
 def test_losses_of_an_update_by_plain_loops() -> None:
     made = learner("lion", [LOG] * 2, [0, 1])
     drawn = {name: value.clone() for name, value in made._streams.at(0).items()}
-    before = made.policy(policy_card(LOG, takes_lambda=True))
+    before = made.policy(policy_card(LOG, takes_proximity=True))
     metrics = made.update(0)
     behaviour = arrays(random_policy(LOG, ("toy",)).layers)
     for lane in range(2):
@@ -155,7 +155,7 @@ def fix_proximity(made: object, value: float) -> None:
 
 def distance(made: object, proximity: float) -> float:
     """Mean Euclidean distance to the behaviour policy on all logged states."""
-    policy = made.policy(policy_card(LOG, takes_lambda=True))  # type: ignore[attr-defined]
+    policy = made.policy(policy_card(LOG, takes_proximity=True))  # type: ignore[attr-defined]
     histories = torch.from_numpy(np.stack([history_of(row) for row in range(LOG.transitions)]))
     lam = torch.full((1, len(histories)), proximity)
     away = policy.act(histories[None], lam) - random_policy(LOG, ("toy",)).act(histories[None])

@@ -69,14 +69,14 @@ def bandit_actions(name: str, **changes: Any) -> torch.Tensor:
         terminated=np.ones(log.transitions, dtype=np.bool_),
     )
     made = trained(name, log, 500, hidden=(32,), **changes)
-    takes_lambda = ALGORITHMS[name].takes_proximity
-    policy = made.policy(policy_card(log, takes_lambda=takes_lambda))
+    takes_proximity = ALGORITHMS[name].takes_proximity
+    policy = made.policy(policy_card(log, takes_proximity=takes_proximity))
     histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
     shape = (1, 200, policy.card.candidates, policy.card.noise)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0))
     chosen = policy.act(
         histories,
-        torch.zeros(1, 200) if takes_lambda else None,
+        torch.zeros(1, 200) if takes_proximity else None,
         noise if policy.card.candidates else None,
     )
     return chosen[0]

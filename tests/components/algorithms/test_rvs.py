@@ -119,7 +119,7 @@ def test_dial_asks_for_the_mean_and_the_best_of_the_log() -> None:
     logs = [of_unequal_lengths(), make_log()]
     made = small(logs)
     run(made, 20)
-    policy = made.policy(policy_card(logs[0], takes_lambda=True))
+    policy = made.policy(policy_card(logs[0], takes_proximity=True))
     assert policy.card.kind == "clipped"
     seen = made._data.observations(torch.tensor([[0, 30, 56]] * 2))
     histories = made._data.denormalise_history(seen)
@@ -142,7 +142,7 @@ def test_deployed_actions_are_clipped_to_the_box() -> None:
         last = made._actor.layers[-1]
         last.weight.zero_()
         last.bias.copy_(torch.tensor([[[3.0, -1.5, 0.25]]]))
-    policy = made.policy(policy_card(takes_lambda=True))
+    policy = made.policy(policy_card(takes_proximity=True))
     actions = policy.act(torch.full((1, 2, 3, 6), 50.0), torch.tensor([[0.0, 1.0]]))
     assert actions.tolist() == [[[1.0, -1.0, 0.25]] * 2]
 
@@ -159,7 +159,7 @@ def test_equal_returns_everywhere_leave_finite_actions() -> None:
     made = small([log])
     for metrics in run(made, 50):
         assert metrics["actor/loss"].isfinite().all()
-    policy = made.policy(policy_card(log, takes_lambda=True))
+    policy = made.policy(policy_card(log, takes_proximity=True))
     actions = policy.act(torch.full((1, 2, 3, 6), 50.0), torch.tensor([[0.0, 1.0]]))
     assert actions.isfinite().all()
     assert policy.finite.all()  # the scaling of lambda too
@@ -173,7 +173,7 @@ def test_asked_for_more_it_does_what_brought_more() -> None:
     log = relabelled(log, rewards=log.actions[:, 0].copy())
     made = small([log], window=1, hidden=(32,), batch=64, learning_rate=3e-3)
     run(made, 600)
-    policy = made.policy(policy_card(log, takes_lambda=True))
+    policy = made.policy(policy_card(log, takes_proximity=True))
     histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
     lazy, eager = (
         policy.act(histories, torch.full((1, 200), proximity))[0] for proximity in (0.0, 1.0)

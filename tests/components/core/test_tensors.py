@@ -7,15 +7,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from components.core.tensors import (
-    load_optimizer_state,
-    load_tensors,
-    optimizer_state,
-    prefixed,
-    save_tensors,
-    with_prefix,
-)
-from components.training.loop import adam
+from components.core.tensors import load_tensors, save_tensors
 
 TENSORS = {
     "weight": torch.arange(6.0).view(2, 3),
@@ -45,6 +37,12 @@ def test_nothing_but_the_file_is_left(stored: Path) -> None:
     save_tensors(stored, {"other": torch.zeros(1)}, {})
     assert [p.name for p in stored.parent.iterdir()] == [stored.name]
     assert load_tensors(stored)[0].keys() == {"other"}
+
+
+def test_permissions_are_those_of_an_ordinary_file(stored: Path) -> None:
+    other = stored.with_name("other")
+    other.touch()
+    assert stored.stat().st_mode == other.stat().st_mode
 
 
 def test_a_failed_write_leaves_the_old_file(stored: Path) -> None:
@@ -105,32 +103,3 @@ def test_a_pickle_is_refused_and_never_loaded(tmp_path: Path) -> None:
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nothing does not exist"):
         load_tensors(tmp_path / "nothing")
-
-
-def test_prefixes() -> None:
-    state = prefixed("a", {"x": torch.zeros(1)}) | prefixed("ab", {"y": torch.ones(1)})
-    assert with_prefix("a", state).keys() == {"x"}
-    assert with_prefix("ab", state).keys() == {"y"}
-
-
-def test_optimizer_state_has_lanes_and_continues_exactly() -> None:
-    def step(parameter: torch.Tensor, optimizer: torch.optim.Optimizer) -> None:
-        optimizer.zero_grad()
-        (parameter - torch.arange(6.0).view(2, 3)).square().sum().backward()
-        optimizer.step()
-
-    parameter = torch.zeros(2, 3, requires_grad=True)
-    optimizer = adam([parameter], 0.1)
-    assert optimizer_state(optimizer) == {}
-    for _ in range(3):
-        step(parameter, optimizer)
-    state = optimizer_state(optimizer)
-    assert {tensor.shape[0] for tensor in state.values()} == {2}
-    assert state["0.step"].tolist() == [3.0, 3.0]
-    copy = parameter.detach().clone().requires_grad_()
-    other = adam([copy], 0.1)
-    load_optimizer_state(other, {name: tensor.clone() for name, tensor in state.items()})
-    for _ in range(3):
-        step(parameter, optimizer)
-        step(copy, other)
-    assert torch.equal(parameter, copy)

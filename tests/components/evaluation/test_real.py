@@ -26,12 +26,12 @@ def stack(parts: Sequence[Policy]) -> Policy:
     return Policy.concatenate(parts[0].card, parts)
 
 
-def lambda_policy() -> Policy:
-    """Acts with tanh of the standardised lambda in its first entry, whatever it sees."""
+def adaptive_policy() -> Policy:
+    """Acts with tanh of the standardised proximity in its first entry, whatever it sees."""
     weight = torch.zeros(1, 19, 3)
     weight[0, 18, 0] = 1.0
     scaling = Normaliser(torch.zeros(1, 6), torch.ones(1, 6))
-    card = policy_card(takes_lambda=True)
+    card = policy_card(takes_proximity=True)
     return Policy.of_networks(card, {"actor": [(weight, torch.zeros(1, 1, 3))]}, scaling)
 
 
@@ -79,7 +79,7 @@ def test_constant_policies_earn_what_a_direct_simulation_earns() -> None:
     choices = [[0.5, -0.25, 0.0], [-0.9, 0.9, 0.1]]
     [result] = evaluate([stack([constant_policy(c) for c in choices])], [7])
     assert result.returns.shape == (2, 1, 3)
-    assert np.isnan(result.lambdas).tolist() == [True]
+    assert np.isnan(result.proximities).tolist() == [True]
     expected = simulate(np.repeat(choices, 3, axis=0), 7, 12, 0.9).reshape(2, 1, 3)
     # float32 atanh and tanh of the actions
     np.testing.assert_allclose(result.returns, expected, rtol=1e-5)
@@ -93,10 +93,10 @@ def test_horizon_and_discount() -> None:
     np.testing.assert_allclose(result.returns[0, 0], expected, rtol=1e-5)
 
 
-def test_lambda_reaches_the_policy() -> None:
-    [result] = evaluate([lambda_policy()], [5])
+def test_proximity_reaches_the_policy() -> None:
+    [result] = evaluate([adaptive_policy()], [5])
     grid = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-    np.testing.assert_array_equal(result.lambdas, grid)
+    np.testing.assert_array_equal(result.proximities, grid)
     assert result.returns.shape == (1, 5, 3)
     first = np.tanh((grid - 0.5) / float(PROXIMITY_SCALING.scale))
     actions = np.stack([first, np.zeros(5), np.zeros(5)], axis=1)

@@ -66,7 +66,7 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
         "actor_target": plain(made._ddpg._actor_target),
         "critic_target": plain(made._ddpg._critic_target.stack),
     }
-    machine, frame = copy.deepcopy(made._machine), made._frames.copy()
+    robots, frame = copy.deepcopy(made._robots), made._frames.copy()
     random = {name: value.clone() for name, value in made._streams.at(TINY.random_steps).items()}
     made.update(TINY.random_steps)
 
@@ -76,7 +76,7 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
     noisy = (wanted + TINY.exploration * random["noise"]).clamp(-1.0, 1.0)
     seen = lived(made, 0)
     np.testing.assert_allclose(seen["actions"][-1], noisy[0], atol=1e-6)  # float32
-    frames, rewards = machine.step(seen["actions"][-1:].astype(np.float64))
+    frames, rewards = robots.step(seen["actions"][-1:].astype(np.float64))
     np.testing.assert_array_equal(seen["observations"][-1], frame[0].astype(np.float32))
     np.testing.assert_array_equal(seen["next_observations"][-1], frames[0].astype(np.float32))
     assert seen["rewards"][-1] == np.float32(rewards[0])
@@ -201,7 +201,7 @@ def test_a_broken_lane_stands_still() -> None:
     [
         ({"horizon": 0}, "horizon, evaluate_every and episodes must be at least 1"),
         ({"random_steps": 91}, "from 1 to steps=90"),
-        ({"evaluate_every": 91}, "no policy would be judged"),
+        ({"evaluate_every": 91}, "no policy would be evaluated"),
         ({"exploration": -0.1}, "exploration is -0.1"),
         ({"discount": 1.0}, "discount must lie in"),
     ],

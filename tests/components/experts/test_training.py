@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from components.core.random_streams import lane_generator, lane_key
-from components.experts.episodes import episode_rewards, judge
+from components.experts.episodes import episode_rewards, evaluate_episodes
 from components.experts.online import OnlineDDPG
 from components.experts.training import train_experts, without_denormals
 from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
@@ -142,15 +142,15 @@ def test_rewards_after_a_fall_are_nothing_and_the_falls_own_one_counts() -> None
             return self._state.copy()
 
     generators = [np.random.default_rng(n) for n in range(3)]
-    machine = Upright(3, unsteady=1.0)
-    rewards = episode_rewards(act, machine, generators, 8)
+    robots = Upright(3, unsteady=1.0)
+    rewards = episode_rewards(act, robots, generators, 8)
     paid = [1.0 - 0.1 * (1.01 * LIMIT / n) ** 2 for n in falls]
     lived = [2, 5, 8]
     for n in range(3):
         np.testing.assert_allclose(rewards[n], [paid[n]] * lived[n] + [0.0] * (8 - lived[n]))
-    verdict = judge(act, machine, generators, horizon=8, discount=0.5, return_steps=3)
+    achieved = evaluate_episodes(act, robots, generators, horizon=8, discount=0.5, return_steps=3)
     whole = [p * n for p, n in zip(paid, lived, strict=True)]
-    assert verdict.return_mean == pytest.approx(np.mean(whole))
-    assert verdict.return_std == pytest.approx(np.std(whole))
+    assert achieved.return_mean == pytest.approx(np.mean(whole))
+    assert achieved.return_std == pytest.approx(np.std(whole))
     first = [1.5 * paid[0], 1.75 * paid[1], 1.75 * paid[2]]
-    assert verdict.discounted_return_mean == pytest.approx(np.mean(first))
+    assert achieved.discounted_return_mean == pytest.approx(np.mean(first))

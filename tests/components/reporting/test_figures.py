@@ -1,4 +1,4 @@
-"""The figure over lambda: what is drawn, and where."""
+"""The figure over the proximity parameter: what is drawn, and where."""
 
 from pathlib import Path
 

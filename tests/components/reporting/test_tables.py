@@ -1,7 +1,9 @@
 """The result table: columns, thesis numbers, CSV and Markdown."""
 
+import csv
 import io
 import math
+from pathlib import Path
 
 import pandas
 import pytest
@@ -10,7 +12,8 @@ from components.data.sources.catalogue import DATASETS
 from components.reporting.tables import (
     COLUMNS,
     markdown_table,
-    result_rows,
+    read_results,
+    result_table,
     results_csv,
     thesis_numbers,
 )
@@ -19,7 +22,7 @@ from tests.components.reporting.summaries import LION, TD3_BC, point
 PROMISED = [
     "dataset",
     "algorithm",
-    "lambda",
+    "proximity",
     "seeds",
     "policies",
     "tenth_percentile",
@@ -34,8 +37,8 @@ PROMISED = [
 
 def test_columns_are_the_promised_ones() -> None:
     assert list(COLUMNS) == PROMISED
-    for row in result_rows([TD3_BC, LION]):
-        assert list(row) == PROMISED
+    assert list(result_table([TD3_BC, LION])) == PROMISED
+    assert list(result_table([])) == PROMISED
 
 
 def test_thesis_numbers_are_joined() -> None:
@@ -44,40 +47,82 @@ def test_thesis_numbers_are_joined() -> None:
     assert numbers["optimized-0.6", "td3_bc"] == (-62.7, 0.1)
     missing = [name for name in DATASETS if (name, "td3_bc") not in numbers]
     assert missing == []
-    [row] = result_rows([TD3_BC])
+    [row] = result_table([TD3_BC]).to_dict("records")
     assert (row["thesis_tenth_percentile"], row["thesis_standard_error"]) == (-77.7, 0.1)
     assert (row["seeds"], row["policies"]) == (5, 10)
 
 
 def test_rows_follow_the_points() -> None:
-    rows = result_rows([TD3_BC, LION])
-    assert [row["lambda"] for row in rows] == [None, 0.0, 0.5, 1.0]
-    assert [row["mean"] for row in rows] == [-77.0, -90.0, -70.0, -80.0]
-    assert {row["thesis_tenth_percentile"] for row in rows[1:]} == {None}
+    table = result_table([TD3_BC, LION])
+    assert table["proximity"].fillna(-1).tolist() == [-1, 0.0, 0.5, 1.0]
+    assert table["mean"].tolist() == [-77.0, -90.0, -70.0, -80.0]
+    assert table["thesis_tenth_percentile"].isna().tolist() == [False, True, True, True]
 
 
 def test_csv_reads_back_in_full_precision() -> None:
-    text = results_csv(result_rows([TD3_BC, LION]))
+    text = results_csv(result_table([TD3_BC, LION]))
     assert text.splitlines()[0] == ",".join(PROMISED)
     assert text.splitlines()[1].startswith("mediocre-0.2,td3_bc,,5,10,")
     frame = pandas.read_csv(io.StringIO(text))
     assert list(frame.columns) == PROMISED
     assert len(frame) == 4
-    assert frame["lambda"].isna().tolist() == [True, False, False, False]
+    assert frame["proximity"].isna().tolist() == [True, False, False, False]
     assert frame["tenth_percentile"][0] == -77.0 - 5.123456789
     assert frame["thesis_tenth_percentile"].isna().tolist() == [False, True, True, True]
 
 
 def test_a_figure_that_is_not_finite_is_shown() -> None:
     bad = point(None) | {"mean": math.nan, "tenth_percentile": math.nan}
-    rows = result_rows([TD3_BC | {"points": [bad]}])
-    frame = pandas.read_csv(io.StringIO(results_csv(rows)))
-    assert math.isnan(frame["mean"][0])
-    assert "not finite" in markdown_table(rows)
+    table = result_table([TD3_BC | {"points": [bad, bad | {"mean": -math.inf}]}])
+    first, second = results_csv(table).splitlines()[1:]
+    # what is not a number differs from what is not there
+    assert first == "mediocre-0.2,td3_bc,,5,10,nan,0.25,nan,1.5,-69.875,-77.7,0.1"
+    assert second == "mediocre-0.2,td3_bc,,5,10,nan,0.25,-inf,1.5,-69.875,-77.7,0.1"
+    assert markdown_table(table).count("not finite") == 4
+
+
+NUMBERS = [
+    1 / 3,
+    -0.1 - 0.2,
+    5e-324,
+    1.7976931348623157e308,
+    1e22,
+    -1e-7,
+    123456789.0,
+    2 / 3 * 1e-5,
+]
+
+
+def test_numbers_are_written_as_python_writes_them_and_come_back(tmp_path: Path) -> None:
+    points = [point(n / 3) | {"mean": value} for n, value in enumerate(NUMBERS[:4])]
+    points += [point(None) | {"iqm": value} for value in NUMBERS[4:]]
+    table = result_table([TD3_BC, LION | {"points": points}])
+    text = results_csv(table)
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert [row["mean"] for row in rows[1:5]] == [repr(value) for value in NUMBERS[:4]]
+    assert [row["iqm"] for row in rows[5:]] == [repr(value) for value in NUMBERS[4:]]
+    assert [row["proximity"] for row in rows[1:4]] == ["0.0", repr(1 / 3), repr(2 / 3)]
+    path = tmp_path / "results.csv"
+    path.write_text(text)
+    pandas.testing.assert_frame_equal(read_results(path), table, check_exact=True)
+
+
+def test_older_tables_call_the_proximity_lambda(tmp_path: Path) -> None:
+    table = result_table([TD3_BC, LION])
+    path = tmp_path / "results.csv"
+    path.write_text(results_csv(table).replace(",proximity,", ",lambda,", 1))
+    pandas.testing.assert_frame_equal(read_results(path), table)
+
+
+def test_a_table_with_other_columns_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results.csv"
+    path.write_text("dataset,score\nx,1\n")
+    with pytest.raises(ValueError, match=r"results\.csv has the columns .*score; .*has dataset"):
+        read_results(path)
 
 
 def test_markdown() -> None:
-    lines = markdown_table(result_rows([TD3_BC, LION])).splitlines()
+    lines = markdown_table(result_table([TD3_BC, LION])).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert cells[0] == PROMISED
     assert all(set(cell) <= set("-:") for cell in cells[1])
@@ -90,7 +135,7 @@ def test_markdown() -> None:
     assert len({len(line) for line in lines}) == 1, "columns are aligned"
 
 
-@pytest.mark.parametrize("rows", [[]])
-def test_an_empty_table_has_its_head(rows: list) -> None:
-    assert results_csv(rows) == ",".join(PROMISED) + "\n"
-    assert len(markdown_table(rows).splitlines()) == 2
+def test_an_empty_table_has_its_head() -> None:
+    table = result_table([])
+    assert results_csv(table) == ",".join(PROMISED) + "\n"
+    assert len(markdown_table(table).splitlines()) == 2

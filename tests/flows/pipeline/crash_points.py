@@ -21,8 +21,8 @@ from typing import Any
 
 from rich.console import Console
 
+from components.core.files import read_json
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.files import read_json
 from flows.pipeline.json_lines import read_lines
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display

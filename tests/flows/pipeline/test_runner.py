@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError, TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from flows.pipeline.files import write_json
+from components.core.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.run_state import ComponentState, RunState

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError
-from flows.pipeline.files import read_json, write_json
 from flows.pipeline.locks import locked
 from flows.pipeline.store import ArtifactStore, disk_sentence
 

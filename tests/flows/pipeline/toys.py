@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.pipeline.files import read_json, write_json
+from components.core.files import read_json, write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.task import Job, TaskContext
 

@@ -106,7 +106,7 @@ def test_policy_training(plan: Plan, root: Path) -> None:
         folder = out(plan, root, f"lion/bad-0.4/seed{seed}")
         policy = Policy.load(folder / "policy")
         assert policy.card.dataset == "bad-0.4"
-        assert policy.card.takes_lambda
+        assert policy.card.takes_proximity
         assert policy.card.steps == (2, 4, 6, 8)
         weights.append(policy.layers[0][0])
         with np.load(folder / "curves.npz", allow_pickle=False) as curves:
@@ -134,23 +134,23 @@ def test_stacks_over_datasets_train_what_stacks_over_seeds_train(
 
 
 def test_evaluation(plan: Plan, root: Path) -> None:
-    for algorithm, lambdas in (("lion", [0.0, 0.5, 1.0]), ("td3_bc", [np.nan])):
+    for algorithm, proximities in (("lion", [0.0, 0.5, 1.0]), ("td3_bc", [np.nan])):
         folder = out(plan, root, f"evaluate/{algorithm}/bad-0.4/seed3")
         with np.load(folder / "returns.npz", allow_pickle=False) as arrays:
-            np.testing.assert_array_equal(arrays["lambdas"], lambdas)
-            assert arrays["returns"].shape == (4, len(lambdas), 2)
-            assert arrays["distances"].shape == (4, len(lambdas))
-            means = arrays["returns"].mean(axis=-1)  # [S, lambdas]
+            np.testing.assert_array_equal(arrays["lambdas"], proximities)
+            assert arrays["returns"].shape == (4, len(proximities), 2)
+            assert arrays["distances"].shape == (4, len(proximities))
+            means = arrays["returns"].mean(axis=-1)  # [S, proximities]
         with np.load(folder / "curves.npz", allow_pickle=False) as curves:
             if algorithm == "lion":
-                assert curves["over_lambda/return/step"].tolist() == [0, 50, 100]
-                np.testing.assert_array_equal(curves["over_lambda/return/value"], means[-1])
-                one = "evaluation/return_at_lambda_0.50"
+                assert curves["over_proximity/return/step"].tolist() == [0, 50, 100]
+                np.testing.assert_array_equal(curves["over_proximity/return/value"], means[-1])
+                one = "evaluation/return_at_proximity_0.50"
             else:
                 one = "evaluation/return"
             steps = [2, 4, 6, 8] if algorithm == "lion" else [10, 20, 30, 40]
             assert curves[f"{one}/step"].tolist() == steps
-            np.testing.assert_array_equal(curves[f"{one}/value"], means[:, len(lambdas) // 2])
+            np.testing.assert_array_equal(curves[f"{one}/value"], means[:, len(proximities) // 2])
 
 
 @pytest.mark.parametrize("seeds", [(0,), (3,)])

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from components.core.files import read_json, write_json
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.files import read_json, write_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext

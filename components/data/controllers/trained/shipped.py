@@ -1,4 +1,4 @@
-"""Experts as they ship: a deterministic policy in two small files, and a card that judges it.
+"""Experts as they ship: a deterministic policy in two small files, and a card of its returns.
 
 A folder holds `policy.json` and `weights.safetensors`, which are an ordinary policy artifact, and
 `expert.json`, the card. `python -m flows.train_experts` makes such folders; those that datasets are
@@ -7,13 +7,15 @@ generated with lie beside this module, one per robot.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from components.core.cards import CardFormat
+from components.core.files import write_text
 from components.data.dataset import code_version
 from components.policies.policy import Policy
 
@@ -37,14 +39,14 @@ class ExpertCard:
 
     Attributes:
         robot: Its short name, e.g. "swimmer".
-        environment: Gymnasium id of the system it was trained and judged on.
+        environment: Gymnasium id of the system it was trained and evaluated on.
         physics: Variant of the system, e.g. "v3".
         simulator: Name and version of the physics engine.
         seed: The one that was chosen.
         candidates: Of every seed, as text, the highest mean return at an evaluation in training.
         step: Environment steps after which the chosen policy was kept.
         training: Settings of the training, by name.
-        episodes: Whole episodes that it was judged by afterwards, without noise.
+        episodes: Whole episodes of its evaluation after training, without noise.
         return_mean: Mean of their undiscounted returns.
         return_std: Their standard deviation.
         return_steps: Steps of the discounted return.
@@ -70,6 +72,9 @@ class ExpertCard:
     discounted_return_mean: float
     digest: str = ""
     code_version: str = field(default_factory=code_version)
+
+
+_CARDS: Final = CardFormat(kind=ExpertCard, what="expert", remedy=_REMEDY)
 
 
 def act_in_double(policy: Policy, frames: Array) -> Array:
@@ -105,7 +110,7 @@ class Expert:
         self.policy.save(folder)
         card = replace(self.card, digest=_digest(folder))
         text = json.dumps(asdict(card), indent=2, sort_keys=True) + "\n"
-        (folder / _CARD).write_text(text, encoding="utf-8")
+        write_text(folder / _CARD, text)
 
     @classmethod
     def load(cls, folder: Path) -> "Expert":
@@ -115,19 +120,7 @@ class Expert:
             FileNotFoundError: A file is missing.
             ValueError: A file is damaged, or the weights are not those of the card.
         """
-        path = folder / _CARD
-        if not path.is_file():
-            raise FileNotFoundError(
-                f"There is no expert in {folder}: {_CARD} is missing; {_REMEDY}."
-            )
-        try:
-            values: Any = json.loads(path.read_text(encoding="utf-8"))
-            wrong = {f.name for f in fields(ExpertCard)}.symmetric_difference(values)
-            if wrong:
-                raise ValueError(f"missing or unknown fields: {', '.join(sorted(wrong))}")
-            card = ExpertCard(**values)
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{path} cannot be read ({error}); {_REMEDY}.") from error
+        card = _CARDS.read(folder / _CARD)
         try:
             policy = Policy.load(folder)
         except (ValueError, FileNotFoundError) as error:

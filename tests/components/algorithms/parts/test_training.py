@@ -66,7 +66,7 @@ def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
     steps = tuple(pretraining(name) + step for step in (6, 12, 18, 24, 30))
     assert [p.card.steps for p in policies] == [steps] * 3
     assert {p.lanes for p in policies} == {SNAPSHOTS}
-    assert {p.card.takes_lambda for p in policies} == {ALGORITHMS[name].takes_proximity}
+    assert {p.card.takes_proximity for p in policies} == {ALGORITHMS[name].takes_proximity}
     weight = policies[0].layers[0][0]
     assert not any(torch.equal(weight[n], weight[n + 1]) for n in range(SNAPSHOTS - 1))
     for steps, _ in curves.of_lane(0).values():

@@ -58,5 +58,5 @@ def test_damage_is_named_with_its_remedy(folder: Path) -> None:
     values = json.loads(card.read_text())
     for text in ("{", "[]", json.dumps({**values, "colour": "red"})):
         card.write_text(text)
-        with pytest.raises(ValueError, match=r"expert\.json cannot be read .* restore the shipped"):
+        with pytest.raises(ValueError, match=r"expert\.json cannot be used .* restore the shipped"):
             Expert.load(folder)

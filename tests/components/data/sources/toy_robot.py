@@ -67,7 +67,7 @@ def toy_expert(scale: float = 1.0, features: tuple[str, ...] = FEATURES) -> Expe
         features=features,
         history=1,
         actions=2,
-        takes_lambda=False,
+        takes_proximity=False,
         steps=(40,),
     )
     as_it_is = Normaliser(torch.zeros(1, len(features)), torch.ones(1, len(features)))

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from components.core.files import read_json
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.ray import RayExecutor
-from flows.pipeline.files import read_json
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import run_plan

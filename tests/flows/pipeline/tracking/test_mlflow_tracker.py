@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from components.core.files import write_json
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan

@@ -1,0 +1,96 @@
+"""Cards: frozen dataclasses in JSON files that say what lies beside them.
+
+A card that cannot be used ends in one sentence that names the file and the remedy.
+"""
+
+import json
+import typing
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+__all__ = ["CardFormat"]
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardFormat(Generic[C]):
+    """How cards of one kind are stored.
+
+    A card in a file has a value for every field of the dataclass, but for those with a plain
+    default, and for no other; what the dataclass itself refuses is refused here, too.
+
+    Attributes:
+        kind: The dataclass. Its fields of tuples are lists in the file.
+        what: What a card is about, for messages, e.g. "policy".
+        remedy: What to do about a card that cannot be used, e.g. "train the policy again".
+        version: Key and value that cards of this format have; None where there are no versions.
+        amend: Changes the values of a file where their names differ from the fields', or where
+            older files lack some.
+    """
+
+    kind: Callable[..., C]
+    what: str
+    remedy: str
+    version: tuple[str, object] | None = None
+    amend: Callable[[dict[str, Any]], None] = lambda values: None
+
+    def read(self, path: Path) -> C:
+        """Read a card.
+
+        Raises:
+            FileNotFoundError: There is none.
+            ValueError: It is damaged, of another version, or has not the fields of its kind.
+        """
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"There is no {self.what} in {path.parent}: {path.name} is missing; {self.remedy}."
+            )
+        return self.parse(path.read_bytes(), path)
+
+    def parse(self, text: str | bytes, source: object) -> C:
+        """Read a card from its text.
+
+        Args:
+            text: JSON.
+            source: Where the text was, for messages.
+
+        Raises:
+            ValueError: The text is damaged, of another version, or has not the fields of its kind.
+        """
+        try:
+            return self._card(text)
+        except (ValueError, TypeError) as error:
+            raise ValueError(
+                f"{source} cannot be used because {_reason(error)}; {self.remedy}."
+            ) from error
+
+    def _card(self, text: str | bytes) -> C:
+        values: Any = json.loads(text)
+        if not isinstance(values, dict):
+            raise TypeError("it is no JSON object")
+        if self.version is not None:
+            key, expected = self.version
+            found = values.pop(key, None)
+            if found != expected:
+                name = key.replace("_", " ")
+                raise ValueError(f"its {name} is {found!r} and this version reads {expected!r}")
+        self.amend(values)
+        kinds = typing.get_type_hints(self.kind)
+        known = fields(typing.cast(Any, self.kind))
+        needed = {field.name for field in known if field.default is MISSING}
+        wrong = (needed - values.keys()) | (values.keys() - {field.name for field in known})
+        if wrong:
+            raise ValueError(f"it has missing or unknown fields ({', '.join(sorted(wrong))})")
+        for name, value in values.items():
+            if typing.get_origin(kinds[name]) is tuple:
+                values[name] = tuple(value)
+        return self.kind(**values)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, (json.JSONDecodeError, UnicodeDecodeError)):
+        return f"it is not JSON ({error})"
+    return str(error).rstrip(".")

@@ -1,0 +1,68 @@
+"""Files and folders that appear whole or not at all.
+
+Everything is written under a temporary name beside its own and renamed when it is whole. An error
+removes the temporary file; a killed process leaves it behind, hidden.
+"""
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+__all__ = ["read_json", "replacing", "temporary_name", "write_json", "write_text"]
+
+
+@contextmanager
+def temporary_name(path: Path) -> Iterator[Path]:
+    """Lend a hidden name beside ``path``, for a file or a folder.
+
+    Args:
+        path: What is to be written in the end. Its suffix is kept, since some writers choose their
+            format by it.
+
+    Yields:
+        The name, which nothing has yet; what lies there at the end of the block is removed.
+    """
+    temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex[:12]}{path.suffix}")
+    try:
+        yield temporary
+    finally:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        elif temporary.exists():
+            temporary.unlink()
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Lend a temporary name; what lies there takes the place of ``path`` unless the block fails.
+
+    Raises:
+        OSError: The place cannot be taken, for example by a folder where a filled one lies.
+    """
+    with temporary_name(path) as temporary:
+        yield temporary
+        os.replace(temporary, path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text in UTF-8."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON."""
+    write_text(path, json.dumps(value, indent=1))
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file; None if the file is missing or broken."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None

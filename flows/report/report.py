@@ -1,0 +1,113 @@
+"""The report of a sweep: table and figures of everything that is finished."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from components.core.files import write_text
+from components.data.dataset import DatasetCard
+from components.environments.rendering import DRAWABLE
+from components.reporting.figures import proximity_figure, save_figure
+from components.reporting.stored import ReportNodes
+from components.reporting.tables import ended_notes, markdown_table, result_table, results_csv
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.store import ArtifactStore
+from flows.report.films import film_notes
+
+__all__ = ["Report", "write_report"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was written.
+
+    Attributes:
+        files: Table, the same as Markdown, figures.
+        table: One row per dataset, algorithm and proximity.
+        summaries: What aggregation has stored, behind the rows.
+    """
+
+    files: Sequence[Path]
+    table: pd.DataFrame
+    summaries: Sequence[Mapping[str, Any]]
+
+    @property
+    def headline(self) -> dict[str, list[tuple[int, float]]]:
+        """Per dataset and algorithm the 10th percentile, adaptive policies over 100 proximity."""
+        return {
+            f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}": [
+                (round(100 * (point["lambda"] or 0.0)), point["tenth_percentile"])
+                for point in summary["points"]
+            ]
+            for summary in self.summaries
+        }
+
+    def lines(self) -> list[str]:
+        """What to print: the table and notes on it; nothing of an empty report."""
+        if self.table.empty:
+            return []
+        notes = [f"Note: {note}" for note in ended_notes(self.summaries)]
+        return [*markdown_table(self.table).splitlines(), *notes]
+
+
+def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
+    """Write table and figures of everything that is finished.
+
+    Args:
+        folder: Made if needed.
+        plan: Of the sweep.
+        store: With its artifacts.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    done = [node for node in plan if store.complete(node.key)]
+    aggregations = [node for node in done if node.component == "aggregation"]
+    generations = [node for node in done if node.component == "data_generation"]
+    summaries = [
+        json.loads((store.path(node.key) / "summary.json").read_text(encoding="utf-8"))
+        for node in aggregations
+    ]
+    cards = [
+        DatasetCard.load(store.path(node.key) / "dataset" / "card.json") for node in generations
+    ]
+    table = result_table(summaries)
+    drawable = [card.name for card in cards if card.environment in DRAWABLE]
+    notes = [*ended_notes(summaries), *film_notes(done, drawable)]
+    text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+
+    datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
+    ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
+    figures = _write_figures(folder, cards, _drawn(aggregations, summaries))
+    write_text(folder / "results.csv", results_csv(table))
+    write_text(folder / "results.md", text)
+    return Report([folder / "results.csv", folder / "results.md", *figures], table, summaries)
+
+
+def _drawn(
+    aggregations: Sequence[Node], summaries: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """The summaries that figures show.
+
+    Dozens of lines of one algorithm's variants would hide the others: these are in the table only.
+    """
+    return [
+        summary
+        for node, summary in zip(aggregations, summaries, strict=True)
+        if summary["algorithm"] in node.tags.values()
+    ]
+
+
+def _write_figures(
+    folder: Path, cards: Sequence[DatasetCard], drawn: Sequence[dict[str, Any]]
+) -> list[Path]:
+    files = []
+    for card in cards:
+        own = [summary for summary in drawn if summary["dataset"] == card.name]
+        figure = proximity_figure(card.name, own, card.first_window_return_mean)
+        if figure is not None:
+            files.append(folder / f"{card.name}.png")
+            save_figure(figure, files[-1])
+    return files

@@ -1,0 +1,70 @@
+"""Files and folders that appear whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from components.core.files import read_json, replacing, temporary_name, write_json, write_text
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_text_and_json_come_back(tmp_path: Path) -> None:
+    write_text(tmp_path / "text", "λ\n")
+    assert (tmp_path / "text").read_bytes() == "λ\n".encode()
+    write_json(tmp_path / "value.json", {"a": [1, None]})
+    write_json(tmp_path / "value.json", {"a": [2, None]})
+    assert read_json(tmp_path / "value.json") == {"a": [2, None]}
+    assert names(tmp_path) == ["text", "value.json"]
+
+
+def test_a_file_that_is_missing_or_broken_reads_as_none(tmp_path: Path) -> None:
+    assert read_json(tmp_path / "missing.json") is None
+    for number, content in enumerate((b"", b"{", b"\xff\xfe")):
+        (tmp_path / str(number)).write_bytes(content)
+        assert read_json(tmp_path / str(number)) is None
+
+
+def test_what_fails_leaves_the_former_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "value.json"
+    write_text(path, "before")
+
+    def fail() -> None:
+        with replacing(path) as temporary:
+            temporary.write_text("half")
+            assert path.read_text() == "before"
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "\ud800")
+    assert path.read_text() == "before"
+    assert names(tmp_path) == ["value.json"]
+
+
+def test_a_folder_takes_the_place_of_an_empty_one_but_not_of_a_used_one(tmp_path: Path) -> None:
+    def write(content: str) -> None:
+        with replacing(tmp_path / "folder") as temporary:
+            temporary.mkdir()
+            (temporary / "file").write_text(content)
+
+    (tmp_path / "folder").mkdir()
+    write("first")
+    with pytest.raises(OSError, match="not empty"):
+        write("second")
+    assert (tmp_path / "folder" / "file").read_text() == "first"
+    assert names(tmp_path) == ["folder"]
+
+
+def test_temporary_names_are_hidden_neighbours_that_keep_the_suffix(tmp_path: Path) -> None:
+    with temporary_name(tmp_path / "walker.mp4") as temporary:
+        assert temporary.parent == tmp_path
+        assert temporary.name.startswith(".walker.mp4-")
+        assert temporary.suffix == ".mp4"
+        assert not temporary.exists()
+        temporary.mkdir()
+        (temporary / "inside").touch()
+    assert names(tmp_path) == []
