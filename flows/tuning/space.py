@@ -1,7 +1,7 @@
 """What a search varies: per model its fields, each with a range or a list of choices.
 
-Never searched is whatever decides what the held-out loss means or costs: the held-out share, the
-predicted steps, the budget, the number of members. Every space is widened to hold the
+A search never varies what decides the meaning or the cost of the held-out loss: the held-out share,
+the predicted steps, the budget, the number of members. Every space is widened to hold the
 configuration it starts from, so that this one can be the first trial.
 
 Fairness of the comparisons: one-step ensembles, autoencoders and behaviour policies are judged on

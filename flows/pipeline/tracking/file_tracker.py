@@ -39,12 +39,14 @@ class SweepFile:
             TrackingError: it cannot be read or written, or another process is running this sweep.
             ValueError: the name is none for a sweep.
         """
-        self._lock.enter_context(hold_sweep(self._root, name))
         path = self._root / "tracking" / f"{name}.jsonl"
-        with _one_sentence(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            cut_half_line(path)
-            self._newest = {str(event.get("about")): event for event in read_lines(path)}
+        with ExitStack() as held:
+            held.enter_context(hold_sweep(self._root, name))
+            with _one_sentence(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                cut_half_line(path)
+                self._newest = {str(event.get("about")): event for event in read_lines(path)}
+            self._lock = held.pop_all()  # an error above gives it back
         self._path = path
 
     def close(self) -> None:

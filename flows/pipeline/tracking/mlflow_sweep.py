@@ -56,9 +56,11 @@ class MlflowSweep:
             TrackingError: MLflow cannot be used, or another process is running this sweep.
             ValueError: the name holds other characters.
         """
-        self._lock.enter_context(hold_sweep(self._experiment.root, name))
-        with self._experiment.writing():
-            self.run_id = self._parent(name, dict(tags or {}), dict(params or {}), plan)
+        with ExitStack() as held:
+            held.enter_context(hold_sweep(self._experiment.root, name))
+            with self._experiment.writing():
+                self.run_id = self._parent(name, dict(tags or {}), dict(params or {}), plan)
+            self._lock = held.pop_all()  # an error above gives it back
         self.name = name
 
     def _parent(

@@ -118,6 +118,7 @@ def test_a_file_that_cannot_be_opened_is_named(home: Path) -> None:
     (home / "tracking" / "first.jsonl").mkdir()
     with pytest.raises(TrackingError, match=r"first\.jsonl cannot be used \(Is a directory\)"):
         FileTracker(home).open("first")
+    assert list((home / "locks").iterdir()) == []
 
 
 def test_a_full_disk_leaves_the_file_as_it_was(tmp_path: Path) -> None:
