@@ -106,8 +106,8 @@ class Config:
         Raises:
             ValueError: Naming the fields and their range.
         """
-        check_at_least_one(self, "updates", "batch", "trajectories", "horizon")
-        check_at_least_one(self, "iterations", "fisher_samples", "hidden", "value_hidden")
+        check_at_least_one(self, "updates", "batch", "trajectories", "horizon", "iterations")
+        check_at_least_one(self, "fisher_samples", "hidden", "value_hidden")
         if not 0 < self.discount < 1 or not 0 <= self.trace <= 1:
             raise ValueError("discount must lie in (0, 1) and trace in [0, 1].")
         if min(self.learning_rate, self.step_size, self.damping) <= 0:

@@ -157,7 +157,7 @@ def test_the_penalty_keeps_the_policy_where_the_model_is_sure() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"rollouts": 0}, "rollouts, rollout_length, .* at least 1"),
+        ({"rollouts": 0}, "rollouts, rollout_length and .* at least 1"),
         ({"penalty": -0.1}, "penalty must not be negative"),
         ({"prediction_range": "log"}, "prediction_range be data or free"),
         ({"real_ratio": -0.1}, r"real_ratio must lie in \[0, 1\)"),

@@ -325,7 +325,7 @@ def test_deployed_is_the_clipped_mean() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"trajectories": 0}, "trajectories, horizon, iterations"),
+        ({"trajectories": 0}, "trajectories, horizon and iterations"),
         ({"fisher_samples": 0}, "fisher_samples, hidden and value_hidden must be at least 1"),
         ({"value_hidden": (0,)}, "value_hidden must be at least 1"),
         ({"discount": 1.0}, r"discount must lie in \(0, 1\)"),
