@@ -19,13 +19,18 @@ def names_in(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.yaml") if not path.name.startswith("."))
 
 
+def _shown(path: Path) -> Path:
+    """How messages name a file."""
+    return path.relative_to(CONF.parent) if path.is_relative_to(CONF.parent) else path
+
+
 def read_file(path: Path) -> DictConfig:
     """A file of keys and values.
 
     Raises:
         SettingsError: It cannot be read, or holds something else.
     """
-    shown = f"{path.parent.name}/{path.name}"
+    shown = _shown(path)
     try:
         content = OmegaConf.load(path)
     except YAMLError as error:
@@ -44,17 +49,18 @@ def read_folder(folder: Path) -> dict[str, Any]:
     """What the files of a folder say, by name: each describes one thing, below its own name.
 
     Raises:
-        SettingsError: A file cannot be read or describes something else, as a copy does. It would
-            else win over the original, or be ignored, without a word.
+        SettingsError: A file cannot be read, or its key is not its name. A copy with the key of the
+            original would otherwise win over it without a word.
     """
     found = {}
     for name in names_in(folder):
-        content = read_file(folder / f"{name}.yaml")
+        path = folder / f"{name}.yaml"
+        content = read_file(path)
         if [str(key) for key in content] != [name]:
             holds = ", ".join(repr(str(key)) for key in content) or "nothing"
             raise SettingsError(
-                f"{folder.name}/{name}.yaml must hold one key, its own name {name!r}, but holds "
-                f"{holds}; rename the file or the key, or remove the file."
+                f"{_shown(path)} must hold one key, its own name {name!r}, but holds {holds}; "
+                "rename the file or the key, or remove the file."
             )
         [found[name]] = content.values()
     return found

@@ -52,7 +52,7 @@ def selected(group: str, chosen: Any, valid: Sequence[str]) -> list[str]:
 
 
 def selection(group: str, valid: Iterable[str]) -> BeforeValidator:
-    """Makes a list of names of what `selected` takes."""
+    """A validator that turns chosen names into a list, see `selected`."""
     names = list(valid)
     return BeforeValidator(lambda chosen: selected(group, chosen, names))
 
@@ -84,9 +84,9 @@ class OwnSettings(Strict):
     """What holds on a dataset that wants something otherwise than the rest.
 
     Attributes:
-        algorithm: Of every algorithm, as on other datasets or not.
-        model: Of every supervised model.
-        model_for: By algorithm, those of the models that it wants otherwise.
+        algorithm: Configuration object of every algorithm, by name.
+        model: Configuration object of every supervised model, by name.
+        model_for: By algorithm, configuration objects of the models that it wants otherwise.
     """
 
     algorithm: AlgorithmConfigs

@@ -1,10 +1,17 @@
 """Layers of settings: what a domain or a dataset wants otherwise, and who wins."""
 
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 from omegaconf import OmegaConf
 
+from flows.configuration import composition
 from flows.configuration.checking import SettingsError
 from flows.configuration.composition import special_settings
+from flows.configuration.files import CONF
+from flows.configuration.settings import load_settings
 
 GROUPS = {
     "algorithm": {"moose": {"updates": 1000, "optimizer": "sgd"}, "bc": {"updates": 500}},
@@ -68,3 +75,46 @@ def test_what_is_said_of_algorithms_and_models_is_said_in_groups(place: str) -> 
     ):
         with pytest.raises(SettingsError, match=says):
             special({place: {name: fields}})
+
+
+@pytest.fixture
+def conf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A copy of conf/ that may be changed."""
+    monkeypatch.setattr(composition, "CONF", tmp_path / "conf")
+    composition.base_layers.cache_clear()
+    yield shutil.copytree(CONF, tmp_path / "conf")
+    composition.base_layers.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("algorithm:\n  lyon:\n    updates: 3\n", "Unknown key 'algorithm.lyon'; .*mean 'lion'"),
+        ("model:\n  action_vae:\n    epoch: 3\n", "Unknown key 'model.action_vae.epoch'; valid"),
+        ("experts:\n  training:\n    depth: 3\n", "Unknown key 'experts.training.depth'; valid"),
+        ("tunning:\n  trials: 3\n", "Unknown key 'tunning'; valid keys .* Did you mean 'tuning'"),
+        ("training: 3\n", "training=3 must be a group of keys"),
+        ("seeds: [0, 0]\n", "must be a list of different whole numbers"),
+        ("seeds: [0,\n", "mine.yaml is no valid YAML"),
+    ],
+)
+def test_a_wrong_profile_ends_in_one_sentence(conf: Path, content: str, says: str) -> None:
+    (conf / "profile" / "mine.yaml").write_text(content, encoding="utf-8")
+    with pytest.raises(SettingsError, match=says) as caught:
+        load_settings(["profile=mine"])
+    assert "\n" not in str(caught.value)
+
+
+def test_profiles_may_have_the_old_name_of_the_proximity_step(conf: Path) -> None:
+    written = "evaluation:\n  lambda_step: 0.2\n"
+    (conf / "profile" / "mine.yaml").write_text(written, encoding="utf-8")
+    assert load_settings(["profile=mine"]).evaluation.proximity_step == 0.2
+    words = ["profile=mine", "evaluation.proximity_step=0.5"]
+    assert load_settings(words).evaluation.proximity_step == 0.5
+
+
+@pytest.mark.parametrize("file", ["dataset/bad-0.4", "domain/mujoco"])
+def test_a_copied_file_does_not_win_over_the_original(conf: Path, file: str) -> None:
+    shutil.copy(conf / f"{file}.yaml", conf / f"{file} copy.yaml")
+    with pytest.raises(SettingsError, match=f"{file} copy.yaml must hold one key, its own name"):
+        load_settings([])
