@@ -135,7 +135,7 @@ def report(
     ensemble = UNTRAINED["recurrent_ensemble"](dataset)
     rule, data = DynamicsSpecification.of_card(dataset.card), LaneData([dataset], place)
     rows = first_rows(dataset, config.start_window)[: config.starts]
-    [start] = data.denormalise_history(data.observations(torch.from_numpy(rows).to(place)[None]))
+    [start] = data.raw_histories(torch.from_numpy(rows).to(place)[None])
     timed = min(_TIMED, config.particles)
 
     def plain() -> None:

@@ -172,14 +172,12 @@ class Learner(SoftActorCritic):
 
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
-        history, recorded = self._data.recorded(drawn["start"], self._model.memory)
         return self._machine.unroll(
-            history,
+            *self._data.start_states(drawn["start"], self._model.memory),
             act,
             self._config.rollout_length,
             propagation=elites[lane, drawn["elite"]].permute(2, 0, 1),
             noise=drawn["frame"].permute(2, 0, 3, 1),
-            recorded=recorded,
         )
 
     @torch.no_grad()

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from components.data.batches import LaneData
+from components.data.frame_table import FrameTable
 from components.models.transition.model_environment import ModelEnvironment, Prediction
 
 __all__ = [
@@ -84,9 +85,8 @@ class Detector(nn.Module):
         found = torch.empty(data.lanes, len(longest), device=data.device)
         for rows in longest.split(max(1, CHUNK // data.lanes)):
             index = torch.minimum(rows, last)  # shorter logs repeat their last row, cut off below
-            history, recorded = data.recorded(index, machine.model.memory)
-            act = partial(_acting, data.actions(index))
-            [step] = machine.unroll(history, act, 1, recorded=recorded)
+            past = data.start_states(index, machine.model.memory)
+            [step] = machine.unroll(*past, partial(_acting, data.actions(index)), 1)
             found[:, rows] = self(step.prediction)
         return [doubts[:count] for doubts, count in zip(found, data.counts, strict=True)]
 
@@ -163,9 +163,9 @@ class Trajectories:
     """
 
     def __init__(self, begin: Tensor, frames: Sequence[Tensor]) -> None:
-        self.steps, self._width = len(frames), frames[0].shape[-1]
-        self._seen = begin.shape[-1]
-        self._table = torch.cat([*reversed(frames), begin], dim=-1)  # newest first
+        self.steps, width = len(frames), frames[0].shape[-1]
+        self._history = begin.shape[-1] // width  # H
+        self._table = FrameTable(torch.cat([*reversed(frames), begin], dim=-1).view(-1, width))
         lanes, self._batch, _ = begin.shape
         self._lane = torch.arange(lanes, device=begin.device)[:, None]
 
@@ -174,14 +174,10 @@ class Trajectories:
 
         Times go from 0, before the first step, to T, after the last one.
         """
-        per_trajectory = self._table.shape[-1] // self._width
+        per_trajectory = self.steps + self._history
         trajectory = self._lane * self._batch + index % self._batch
-        rows = trajectory * per_trajectory + self.steps - index // self._batch
-        windows = self._table.as_strided(
-            (self._table.numel() // self._width - self._seen // self._width + 1, self._seen),
-            (self._width, 1),
-        )
-        return windows.index_select(0, rows.flatten()).view(*index.shape, self._seen)
+        newest = trajectory * per_trajectory + self.steps - index // self._batch
+        return self._table.windows(newest, self._history)
 
 
 class PessimisticMDP:
@@ -208,29 +204,25 @@ class PessimisticMDP:
 
     @property
     def memory(self) -> int:
-        """Machine frames that trajectories begin with."""
+        """Model frames that trajectories begin with."""
         return self._machine.model.memory
 
     @torch.no_grad()
     def roll_out(
         self,
         begin: Tensor,
-        history: Tensor,
-        recorded: Tensor,
+        past: Tensor,
         act: Callable[[Tensor], Tensor],
     ) -> tuple[Trajectories, Halted]:
         """Let policies act for T steps; halted trajectories go on, but do not count any more.
 
         Args:
             begin: ``[L, B, H * F]`` observations at the start.
-            history: ``[L, B, H, F]`` the same as raw frames.
-            recorded: ``[L, B, G, M]`` the same as raw machine frames.
+            past: ``[L, B, G, M]`` model frames up to there, as logged.
             act: As in :meth:`ModelEnvironment.unroll`.
         """
         frames, rewards, doubts = [], [], []
-        for step in self._machine.unroll(
-            history, act, len(self._followed), self._followed, recorded=recorded
-        ):
+        for step in self._machine.unroll(begin, past, act, len(self._followed), self._followed):
             frames.append(step.frames)
             rewards.append(step.rewards)
             doubts.append(self._detector(step.prediction))

@@ -160,13 +160,13 @@ class ModelEnvironment:
 
     def unroll(
         self,
-        history: Tensor,
+        observations: Tensor,
+        past: Tensor,
         act: Act,
         horizon: int,
         propagation: Propagation = "minimum",
         noise: Tensor | None = None,
         state: Any = None,
-        recorded: Tensor | None = None,
     ) -> Iterator[RolloutStep]:
         """Let a policy act for ``horizon`` steps, one after the other.
 
@@ -175,7 +175,10 @@ class ModelEnvironment:
         and its histories are windows of that.
 
         Args:
-            history: ``[L, B, H, F]`` raw frames that policies see, newest first.
+            observations: ``[L, B, H * F]`` what policies see at the start, scaled, newest frame
+                first; see :meth:`components.data.batches.LaneData.start_states`.
+            past: ``[L, B, G, M]`` model frames up to there, newest first, not scaled; the newest
+                is enough beside a state.
             act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
                 ``[L, N, A]``; called once a step.
             horizon: Steps T.
@@ -183,21 +186,16 @@ class ModelEnvironment:
             noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
                 Gaussian instead of taking its mean.
             state: What the model's ``begin`` returned for this past, if that is known.
-            recorded: ``[L, B, G, M]`` raw machine frames, newest first, see
-                :meth:`components.data.batches.LaneData.recorded`; the newest is enough beside a
-                state. None where policies see whole machine frames: the histories.
 
         Yields:
             The T steps.
         """
         copies = self.model.members if propagation == "isolated" else 1
-        past = history if recorded is None else recorded
-        history, past = (h[:, None].expand(-1, copies, -1, -1, -1) for h in (history, past))
+        past = past[:, None].expand(-1, copies, -1, -1, -1)
+        observation = observations[:, None].expand(-1, copies, -1, -1)
         if state is None:
             state = self.model.begin(past)
-        mean, scale = (m[:, None, None, None] for m in (self._scaling.mean, self._scaling.scale))
-        observation = ((history - mean) / scale).flatten(start_dim=3)
-        width = history.shape[-1]
+        width = self._scaling.mean.shape[-1]
         table = None if torch.is_grad_enabled() else _with_room(observation, horizon * width)
         mean, scale = _wide(self._scaling.mean), _wide(self._scaling.scale)
         # Features come before trajectories, so that element-wise work runs over long rows.

@@ -111,7 +111,7 @@ def test_deployed_policy_sees_what_the_learner_saw(name: str, log: OfflineDatase
     policy = made.policy(policy_card(log, takes_lambda=takes_lambda))
     index = torch.tensor([[0, 1, 7, 39, 40, 200]])
     observations = made._data.observations(index)
-    histories = made._data.denormalise_history(observations)
+    histories = made._data.raw_histories(index)
     noise = candidate_noise(policy, 6)
     outside = policy.act(histories, torch.linspace(0, 1, 6)[None] if takes_lambda else None, noise)
     expected = inside(made, observations, noise).detach()

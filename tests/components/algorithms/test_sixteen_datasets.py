@@ -74,9 +74,7 @@ def test_everything_stays_finite(name: str, logs: list[OfflineDataset]) -> None:
         wrong = names[~tensor.reshape(16, -1).isfinite().all(dim=1).numpy()]
         assert wrong.size == 0, f"{tensor_name}: {wrong}"
     policy = made.policy(policy_card(logs[0]))
-    histories = made._data.denormalise_history(
-        made._data.observations(torch.arange(0, 480, 7).expand(16, -1))
-    )
+    histories = made._data.raw_histories(torch.arange(0, 480, 7).expand(16, -1))
     shape = (*histories.shape[:2], policy.card.candidates, policy.card.noise)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0))
     actions = policy.act(histories, noise=noise if policy.card.candidates else None)

@@ -82,15 +82,16 @@ def test_what_is_recorded_up_to_a_state(frames: int) -> None:
     data = LaneData(logs, CPU)
     last = logs[1].transitions - 1
     index = torch.tensor([[0, 1, 2, int(ROBOT.episode_starts[3]), 60], [0, 5, 1, last, 70]])
-    history, recorded = data.recorded(index, frames)
+    seen, recorded = data.start_states(index, frames)
+    assert torch.equal(seen, data.observations(index))
+    history = data.raw_histories(index)
     assert history.shape == (2, 5, 1, 3)
     assert recorded.shape == (2, 5, frames, 6)
     for lane, log in enumerate(logs):
         whole = frames_by_loop(log)
         for b, n in enumerate(index[lane].tolist()):
             newest, first = log.frame_rows()[n], log.first_rows()[n]
-            # scaled and unscaled in single precision
-            np.testing.assert_allclose(history[lane, b, 0], log.frames[newest], atol=1e-6)
+            np.testing.assert_array_equal(history[lane, b, 0], log.frames[newest])
             for lag in range(frames):
                 expected = whole[max(newest - lag, first)].astype(np.float32)
                 np.testing.assert_array_equal(recorded[lane, b, lag], expected)
@@ -99,9 +100,15 @@ def test_what_is_recorded_up_to_a_state(frames: int) -> None:
 def test_where_policies_see_all_the_past_is_what_they_see() -> None:
     data = LaneData([LOG], CPU)
     index = torch.tensor([[0, 41, 100]])
-    history, recorded = data.recorded(index, 2)
-    assert recorded is history
-    assert torch.equal(history, data.denormalise_history(data.observations(index)))
+    seen, recorded = data.start_states(index, 2)
+    assert torch.equal(seen, data.observations(index))
+    assert torch.equal(recorded, data.raw_histories(index))
+    for b, n in enumerate(index[0].tolist()):
+        newest, first = LOG.frame_rows()[n], LOG.first_rows()[n]
+        for lag in range(LOG.card.history):
+            # the frames themselves, not scaled and back
+            expected = LOG.frames[max(newest - lag, first)]
+            np.testing.assert_array_equal(recorded[0, b, lag], expected)
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         moved = torch.from_numpy(actions[len(seen) - 1]) - observation[0, :, 1:4]
         return (moved / torch.tensor(SCALE).float())[None]
 
-    assert len(list(virtual.unroll(history, act, TINY.horizon))) == TINY.horizon
+    assert len(list(virtual.unroll(history.flatten(2), history, act, TINY.horizon))) == TINY.horizon
     for t, frame in enumerate(seen[1:]):
         scaled = ensemble.frames.apply(frame)[:, 4:]
         # eight recurrent steps in float32, scaled and unscaled
