@@ -18,8 +18,7 @@ import torch
 from benchmarks.measure import machine, markdown, median_seconds
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
-from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
-from components.environments.mujoco.specifications import simulator_version
+from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import make_batch
 from components.evaluation.real import EvaluationConfig, PolicyReturns, evaluate_policies
 from components.networks import StackedMLP
@@ -27,7 +26,7 @@ from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["evaluated", "plain_returns", "report", "untrained_policy"]
 
-_ROBOTS = (SWIMMER_ID, HOPPER_ID, WALKER2D_ID)
+_ROBOTS = tuple(robot.id for robot in ROBOTS.values())
 _STREAM = 0
 _PLAIN = "Python loop over one environment"
 _THREADS = (1, 2)

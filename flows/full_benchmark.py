@@ -87,9 +87,22 @@ def write_report(
             files.append(folder / f"{card.name}.png")
             save_figure(figure, files[-1])
     write_text(table, results_csv(rows))
-    notes = "".join(f"\n- {note}" for note in [*ended_notes(summaries), *_films(done, drawable)])
+    said = [*ended_notes(summaries), *_unjudged(plan), *_films(done, drawable)]
+    notes = "".join(f"\n- {note}" for note in said)
     write_text(text, markdown_table(rows) + (f"{notes}\n" if notes else ""))
     return files, rows, summaries
+
+
+def _unjudged(plan: Plan) -> list[str]:
+    """Of the datasets without a system to evaluate on, that there is none."""
+    trained, judged = (
+        {node.tags["dataset"] for node in plan if node.component == component}
+        for component in ("policy_training", "evaluation")
+    )
+    return [
+        f"{dataset} comes with no system to evaluate on, so its policies are stored and not judged."
+        for dataset in sorted(trained - judged)
+    ]
 
 
 def _films(done: Sequence[Node], drawable: Collection[str]) -> list[str]:
@@ -129,8 +142,9 @@ def _run(settings: Settings) -> int:
         files, rows, summaries = write_report(folder, plan, ArtifactStore(settings.store))
         if rows:
             print(markdown_table(rows), end="")
-            for note in ended_notes(summaries):
-                print(f"Note: {note}")
+        for note in [*ended_notes(summaries), *_unjudged(plan)]:
+            print(f"Note: {note}")
+        if rows:
             print(f"\nTable and figures: {folder}/")
         return files, _headline(summaries)
 

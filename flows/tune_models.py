@@ -20,7 +20,7 @@ from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
-from flows.planning.benchmark import check_lengths, data_plan, model_node, sweep_name
+from flows.planning.benchmark import check_model, data_plan, model_node, sweep_name
 from flows.planning.model_choice import tuned_folder
 from flows.tuning.search import search
 from flows.tuning.space import PASTS, SPACES
@@ -129,8 +129,7 @@ def _journal(settings: Settings) -> Path:
 def _run(settings: Settings) -> int:
     found = subjects(settings)
     for subject in found:
-        if subject.model == "recurrent_ensemble":
-            check_lengths(settings, subject.dataset, subject.start)
+        check_model(settings, subject.dataset, subject.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:

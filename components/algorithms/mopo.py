@@ -45,9 +45,9 @@ from components.algorithms.parts.soft_actor_critic import SoftActorCritic
 from components.core.random_streams import LaneStreams, normal_draw
 from components.data.batches import Batch, LaneData
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
+from components.models.transition.interface import Prediction
 from components.models.transition.model_environment import (
     ModelEnvironment,
-    Prediction,
     PredictionRange,
     RolloutStep,
 )
@@ -279,7 +279,7 @@ def healthy_ranges(data: LaneData) -> tuple[Tensor, Tensor] | None:
     limits[0], limits[1] = -torch.inf, torch.inf
     for lane, dataset in enumerate(data.datasets):
         card = dataset.card
-        for name, ends in card.machine.get("healthy", {}).items():
+        for name, ends in card.dynamics.get("healthy", {}).items():
             if name not in card.frame_features:
                 raise ValueError(
                     f"The card of {card.name} has a healthy range of {name!r}, which is no feature "

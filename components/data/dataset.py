@@ -27,6 +27,8 @@ __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "c
 
 FORMAT_VERSION: Final = 1
 _CARD = "card.json"
+_DYNAMICS: Final = "machine"
+"""Name of the dynamics specification on a stored card."""
 _EARLIER: Final[Mapping[str, Any]] = MappingProxyType(
     {"controller_digest": "", "noise": 0.0, "simulator": ""}
 )
@@ -71,7 +73,7 @@ class DatasetCard:
         history: frames in an observation, newest first.
         frame_features: names of the values of a frame.
         action_features: names of the values of an action, each in [-1, 1].
-        machine: what is known of the machine without learning, see `machine.py`: `known`
+        dynamics: what is known of the system without learning, see `dynamics.py`: `known`
             (`features`, whose last ones follow the actions, and what these `keep`, `scale`, `low`
             and `high`), `learned` (features to be predicted) and `reward` (weights of these);
             optionally `healthy` (ranges of frame features outside of which it has fallen).
@@ -101,7 +103,7 @@ class DatasetCard:
     history: int
     frame_features: tuple[str, ...]
     action_features: tuple[str, ...]
-    machine: Mapping[str, Any]
+    dynamics: Mapping[str, Any]
     return_steps: int
     first_window_return_mean: float
     first_window_return_min: float
@@ -117,7 +119,8 @@ class DatasetCard:
     def to_json(self) -> str:
         """The card as indented JSON, the same text for the same card."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("environment_parameters", "machine"):
+        values[_DYNAMICS] = values.pop("dynamics")
+        for name in ("environment_parameters", _DYNAMICS):
             values[name] = dict(values[name])
         return json.dumps(values, indent=2, sort_keys=True) + "\n"
 
@@ -141,6 +144,8 @@ class DatasetCard:
                 f"{FORMAT_VERSION}; generate the dataset again."
             )
         values = {**_EARLIER, **values}
+        if _DYNAMICS in values:
+            values["dynamics"] = values.pop(_DYNAMICS)
         wrong = sorted({f.name for f in fields(cls)}.symmetric_difference(values))
         if wrong == ["transitions"]:  # on cards of before, all episodes were as long
             values["transitions"] = values["trajectories"] * values["steps"]

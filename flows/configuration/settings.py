@@ -16,14 +16,17 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, Field, ValidationError
 
 from components.algorithms import ALGORITHMS
-from components.data.sources.catalogue import spec_kind
 from components.data.sources.industrial import IndustrialSpec
-from components.data.sources.robots import ROBOTS, RobotSpec
+from components.data.sources.robots import RobotSpec
+from components.data.sources.source import source_kind
+from components.data.sources.stored_log import StoredLog
+from components.environments.mujoco.specifications import ROBOTS
 from components.evaluation.real import EvaluationConfig
 from components.experts.online import ExpertConfig
 from components.models import MODELS
 from flows.configuration.checking import SettingsError, build_config, check_group, sentence
 from flows.configuration.composition import (
+    CONF,
     GROUPS,
     check_keys,
     compose_profile,
@@ -200,14 +203,16 @@ def _check(
     return settings
 
 
-def _spec(name: str, fields: Any, data: DataSettings) -> IndustrialSpec | RobotSpec:
+def _spec(name: str, fields: Any, data: DataSettings) -> IndustrialSpec | RobotSpec | StoredLog:
     """What a dataset is made of, without what its file says about algorithms and models."""
     check_group(f"dataset.{name}", fields)
     own = {k: v for k, v in fields.items() if k not in ("domain", "algorithm", "model")}
-    kind = spec_kind(own)
+    kind = source_kind(own)
+    if isinstance(own.get("log"), str):  # a relative folder is one of the project, like conf/
+        own["log"] = str(CONF.parent / own["log"])
     known = {field.name for field in dataclasses.fields(kind)}
     sizes = {k: v for k, v in data.model_dump(exclude={"seed"}).items() if k in known}
-    spec: IndustrialSpec | RobotSpec = build_config(
+    spec: IndustrialSpec | RobotSpec | StoredLog = build_config(
         kind, f"dataset.{name}", {"name": name, **own, **sizes}
     )
     return spec

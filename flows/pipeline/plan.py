@@ -44,6 +44,8 @@ class Node:
         version: Version of the component's code; raise it when results change.
         config: JSON-able; everything that can change the result.
         inputs: The nodes whose artifacts it reads, by role.
+        folders: Absolute folders outside the store that it reads, by role. Not in the key: the
+            configuration holds digests of what must lie there.
         tags: For people and searches: dataset, algorithm, seed. Not in the key.
         lanes: Pending nodes with the same non-empty value are computed in one task call.
         cost: Rough core-seconds, for the order of work and the estimate.
@@ -55,6 +57,7 @@ class Node:
     version: int
     config: Mapping[str, Any]
     inputs: Mapping[str, "Node"] = field(default_factory=dict)
+    folders: Mapping[str, str] = field(default_factory=dict)
     tags: Mapping[str, str] = field(default_factory=dict)
     lanes: str = ""
     cost: float = 1.0

@@ -8,6 +8,7 @@ from typing import Any
 
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
+from components.data.sources.stored_log import StoredLog
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 
 __all__ = ["data_cost", "model_cost", "policy_cost"]
@@ -27,8 +28,10 @@ _ROW_COST = {
 """Per transition of a batch."""
 
 
-def data_cost(spec: IndustrialSpec | RobotSpec) -> float:
+def data_cost(spec: IndustrialSpec | RobotSpec | StoredLog) -> float:
     """Core-seconds of a dataset."""
+    if isinstance(spec, StoredLog):
+        return 0.1 + 1e-7 * spec.card.transitions
     if isinstance(spec, RobotSpec):
         return 1.5e-4 * spec.transitions
     return 1e-5 * spec.trajectories * spec.steps

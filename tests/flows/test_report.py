@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
+from components.environments import INDUSTRIAL_BENCHMARK_ID
+from components.environments.mujoco.specifications import HOPPER
 from flows import full_benchmark
 from flows.configuration.settings import load_settings
 from flows.pipeline.files import write_json
@@ -79,7 +80,7 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
     monkeypatch.setattr(full_benchmark.DatasetCard, "from_json", lambda text: Card)
     [_, text], *_ = full_benchmark.write_report(tmp_path / "machine", plan, store)
     assert "flows.render" not in text.read_text(encoding="utf-8")
-    Card.environment = HOPPER_ID
+    Card.environment = HOPPER.id
     [_, text], *_ = full_benchmark.write_report(tmp_path / "robot", plan, store)
     lines = [line for line in text.read_text(encoding="utf-8").splitlines() if "watch" in line]
     assert len(lines) == len(policies) == 3

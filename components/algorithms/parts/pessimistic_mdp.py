@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from components.data.batches import LaneData
 from components.data.frame_table import FrameTable
-from components.models.transition.model_environment import ModelEnvironment, Prediction
+from components.models.transition.interface import Prediction
+from components.models.transition.model_environment import ModelEnvironment
 
 __all__ = [
     "Detector",

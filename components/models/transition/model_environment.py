@@ -1,7 +1,7 @@
 """Unroll policies through a learned ensemble: the one place where virtual trajectories are made.
 
 Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
-policy acts, the known features of the machine's frame follow exactly (differentiably), every member
+policy acts, the known features of the model frame follow exactly (differentiably), every member
 predicts the learned ones, and one prediction becomes the next frame, clipped to the range of the
 training data unless told otherwise; policies see of it what the log's frames hold, see
 :mod:`components.data.dynamics`. Which one is the propagation:
@@ -15,81 +15,26 @@ training data unless told otherwise; policies see of it what the log's frames ho
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from components.core.normaliser import Normaliser
 from components.data.dynamics import DynamicsSpecification
+from components.models.transition.interface import Prediction, TransitionModel
 
 __all__ = [
     "ModelEnvironment",
-    "Prediction",
     "PredictionRange",
     "Propagation",
     "RolloutStep",
-    "TransitionModel",
     "discounted_sum",
 ]
 
 Act = Callable[[Tensor], Tensor]
 Propagation = Literal["minimum", "isolated"] | Tensor
 PredictionRange = Literal["data", "free"]
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What all members say about the next frame.
-
-    Attributes:
-        values: ``[L, D, K, B]`` normalised targets, not clipped.
-        spread: ``[L, D, K, B]`` predicted standard deviations in units of a standardised target;
-            None for deterministic members.
-    """
-
-    values: Tensor
-    spread: Tensor | None = None
-
-
-class TransitionModel(Protocol):
-    """Ensembles of L lanes, K members each.
-
-    Attributes:
-        members: K.
-        memory: G, recorded machine frames to begin with.
-        frames: Scaling of a machine frame's features, ``[L, M]``.
-        low: Smallest normalised targets of the training data, ``[L, D]``.
-        high: Largest.
-        target_scale: One standardised target in normalised units, ``[L, D]``: 1 where values are
-            predicted, the deviation of the changes where changes are.
-    """
-
-    members: int
-    memory: int
-    frames: Normaliser
-    low: Tensor
-    high: Tensor
-    target_scale: Tensor
-
-    def begin(self, recorded: Tensor) -> Any:
-        """State after raw machine frames ``[L, S, B, G, M]``, newest first; S is 1 or K."""
-
-    def predict(
-        self, state: Any, observation: Tensor, known: Tensor, own: Tensor
-    ) -> tuple[Prediction, Any]:
-        """Advance all members by a step.
-
-        Args:
-            state: Of :meth:`begin` or the step before.
-            observation: ``[L, S, B, H * F]`` frames before the action, newest first, in the scaling
-                the policies see.
-            known: ``[L, S, B, M - D]`` normalised known features after the action.
-            own: ``[L, D, S, B]`` normalised targets before the action.
-
-        Returns:
-            Member k's prediction for its own copy, or for the only one; the next state.
-        """
 
 
 @dataclass(frozen=True)
@@ -115,11 +60,11 @@ class RolloutStep:
 
 
 class ModelEnvironment:
-    """The learned machine of L lanes.
+    """The model environments of L lanes.
 
     Args:
         model: The lanes' ensembles.
-        rule: How actions move the machine, and what its reward is.
+        rule: How known features follow from actions, and what the reward is.
         scaling: Scaling of the frames that policies see, ``[L, F]``.
         device: Where to compute.
         prediction_range: ``data`` clips predictions to the range of the training data, ``free``

@@ -176,7 +176,7 @@ def test_lanes_need_equal_shapes_and_one_machine() -> None:
     with pytest.raises(ValueError, match="equal frame, action and history widths"):
         LaneData([LOG, make_log(history=4)], CPU)
     other = make_log("other")
-    other.card.machine["known"]["high"] = 90.0
+    other.card.dynamics["known"]["high"] = 90.0
     with pytest.raises(ValueError, match="same kind of machine"):
         _ = LearnerInputs(LaneData([LOG, relabelled(other)], CPU), [1, 2]).machine
 

@@ -10,7 +10,8 @@ import torch
 from components.data.batches import LaneData
 from components.data.dataset import DatasetCard, OfflineDataset
 from components.data.dynamics import DynamicsSpecification, model_frames
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, FEATURES, SCALE, make_log
 
@@ -19,8 +20,8 @@ LOG, ROBOT = make_log(), make_robot_log()
 
 def changed(log: OfflineDataset, **section: Any) -> OfflineDataset:
     """The log with parts of its card's machine section replaced."""
-    machine = {**log.card.machine, **section}
-    return dataclasses.replace(log, card=dataclasses.replace(log.card, machine=machine))
+    dynamics = {**log.card.dynamics, **section}
+    return dataclasses.replace(log, card=dataclasses.replace(log.card, dynamics=dynamics))
 
 
 def frames_by_loop(log: OfflineDataset) -> np.ndarray:
@@ -65,7 +66,7 @@ def test_rules_survive_the_card_s_json() -> None:
 
 
 def test_the_industrial_benchmark_s_card_tells_how_its_frames_follow_from_actions() -> None:
-    log = generate(dataclasses.replace(DATASETS["bad-0.4"], trajectories=2, steps=50), seed=0)
+    log = generate(IndustrialSpec("bad-0.4", "bad", 0.4, trajectories=2, steps=50), seed=0)
     rule = DynamicsSpecification.of_card(log.card)
     assert not rule.hides
     before, after = log.frames[log.frame_rows()], log.frames[log.frame_rows() + 1]
@@ -119,10 +120,10 @@ def test_where_policies_see_all_the_past_is_what_they_see() -> None:
         ({"learned": ["tilt", "speed", "bend", "height"]}, "needs frames of .* but robot logs"),
         ({"reward": {"profit": 1.0}}, "the reward {'profit': 1.0} must be made of"),
         (
-            {"known": {**ROBOT.card.machine["known"], "features": ["knee", "hip"]}},
+            {"known": {**ROBOT.card.dynamics["known"], "features": ["knee", "hip"]}},
             r"must end with the actions \('hip', 'knee'\)",
         ),
-        ({"known": {**ROBOT.card.machine["known"], "keep": [0.0]}}, "a number for each"),
+        ({"known": {**ROBOT.card.dynamics["known"], "keep": [0.0]}}, "a number for each"),
     ],
 )
 def test_cards_that_contradict_their_logs_are_refused(section: Any, message: str) -> None:

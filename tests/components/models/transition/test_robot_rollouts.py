@@ -24,11 +24,11 @@ from components.models.recurrent_ensemble.ensemble import (
 )
 from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.transition.interface import TransitionModel
 from components.models.transition.model_environment import (
     ModelEnvironment,
     Propagation,
     RolloutStep,
-    TransitionModel,
     discounted_sum,
 )
 from tests.components.models.plain import doubles
