@@ -17,7 +17,8 @@ import torch
 
 from benchmarks.measure import machine, markdown
 from components.core.random_streams import lane_key
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
 from components.models.supervised import Monitor, Series
@@ -25,7 +26,7 @@ from components.models.supervised import Monitor, Series
 __all__ = ["REFERENCE", "first_good", "report"]
 
 REFERENCE = {"fatigue": 0.040, "consumption": 0.005}
-DATASET = "mediocre-1.0"
+DATASET = IndustrialSpec("mediocre-1.0", "mediocre", 1.0)
 
 
 def first_good(curves: dict[str, Sequence[Series]], wanted: dict[str, float]) -> int | None:
@@ -51,14 +52,14 @@ def report(device: str = "cpu", config: RecurrentEnsembleConfig | None = None) -
         config: The default configuration if None.
     """
     sizes = config or RecurrentEnsembleConfig()
-    dataset = generate(DATASETS[DATASET], 0)
+    dataset = generate(DATASET, 0)
     begin = time.perf_counter()
     moments: list[float] = []
     watch = Monitor(validated=lambda fraction, loss: moments.append(time.perf_counter() - begin))
     fit = fit_recurrent_ensemble(
         dataset,
         sizes,
-        lane_key(DATASET, "recurrent_ensemble", 0),
+        lane_key(DATASET.name, "recurrent_ensemble", 0),
         torch.device(device),
         None,
         watch,

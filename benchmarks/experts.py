@@ -22,7 +22,8 @@ from torch import Tensor, nn
 
 from benchmarks.measure import machine, markdown, median_seconds
 from components.core.random_streams import lane_key
-from components.data.sources.robots import ROBOTS, make_robots
+from components.environments.mujoco.robots import Robots
+from components.environments.mujoco.specifications import ROBOTS
 from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
 from components.experts.training import without_denormals
@@ -53,7 +54,7 @@ class EagerDDPG:
 
     def __init__(self, config: ExpertConfig, robot: str, seed: int) -> None:
         self.config = config
-        self.environment = gym.make(ROBOTS[robot], physics="v3")
+        self.environment = gym.make(ROBOTS[robot].id, physics="v3")
         self.rng = np.random.default_rng(seed)
         self.frame, _ = self.environment.reset(seed=seed)
         (self.observations,), (self.actions,) = (
@@ -128,7 +129,7 @@ def lanes_program(
     config: ExpertConfig, robot: str, seeds: Sequence[int], folder: Path
 ) -> OnlineDDPG:
     """Our learner as training makes it, with one lane per seed and its files in a folder."""
-    robots = make_robots(robot, len(seeds), "v3")
+    robots = Robots(ROBOTS[robot], len(seeds), "v3")
     widths = len(robots.frame_features), len(robots.action_features)
     device = torch.device("cpu")
     files = [folder / f"{len(seeds)}-lanes-{seed}" for seed in seeds]

@@ -9,7 +9,6 @@ freshly initialised: their weights do not change the amount of work.
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -24,7 +23,8 @@ from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator, lane_key, spawn_generators
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
@@ -136,7 +136,9 @@ def report(
     """
     keep_freed_memory()
     place = torch.device(device)
-    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
+    dataset = generate(
+        IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=trajectories), seed=0
+    )
     on_a_gpu = place.type == "cuda"
     rows = []
     for algorithm, few in updates.items():

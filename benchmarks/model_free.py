@@ -23,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -37,7 +37,8 @@ from benchmarks.peer_d3rlpy import COUNTERPARTS
 from components.algorithms import ALGORITHMS
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from flows.tasks.memory import keep_freed_memory
 
 __all__ = [
@@ -236,7 +237,9 @@ def report(
         raise FileNotFoundError(missing(peer))
     if min(threads, repetitions) < 1:
         raise ValueError("threads and repetitions must be at least 1.")
-    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
+    dataset = generate(
+        IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=trajectories), seed=0
+    )
     seconds: dict[str, list[list[float]]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder, arrays = Path(name) / "dataset", Path(name) / "transitions.npz"

@@ -18,8 +18,7 @@ import torch
 from benchmarks.measure import machine, markdown, median_seconds
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
-from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
-from components.environments.mujoco.specifications import simulator_version
+from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import make_batch
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import PolicyReturns, evaluate_policies
@@ -28,7 +27,7 @@ from components.policies.policy import Policy, PolicyCard
 
 __all__ = ["evaluated", "plain_returns", "report", "untrained_policy"]
 
-_ROBOTS = (SWIMMER_ID, HOPPER_ID, WALKER2D_ID)
+_ROBOTS = tuple(robot.id for robot in ROBOTS.values())
 _STREAM = 0
 _DISCOUNT = 0.99
 _PLAIN = "Python loop over one environment"

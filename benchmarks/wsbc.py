@@ -11,7 +11,6 @@ each other.
 import argparse
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 
 import torch
@@ -23,7 +22,8 @@ from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config
 from components.data.batches import LaneData
 from components.data.dynamics import DynamicsSpecification
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy
 from components.training.loop import Learner
@@ -130,12 +130,14 @@ def report(
     """
     keep_freed_memory()
     place, config = torch.device(device), Config(**settings)
-    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=trajectories), seed=0)
+    dataset = generate(
+        IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=trajectories), seed=0
+    )
     policy = UNTRAINED["behaviour_policy"](dataset)
     ensemble = UNTRAINED["recurrent_ensemble"](dataset)
     rule, data = DynamicsSpecification.of_card(dataset.card), LaneData([dataset], place)
     rows = start_rows(dataset, config.start_window)[: config.starts]
-    [start] = data.denormalise_history(data.observations(torch.from_numpy(rows).to(place)[None]))
+    [start] = data.raw_histories(torch.from_numpy(rows).to(place)[None])
     timed = min(_TIMED, config.particles)
 
     def plain() -> None:

@@ -42,9 +42,10 @@ def _run(settings: Settings) -> int:
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         written = write_report(folder, plan, ArtifactStore(settings.store))
-        lines = written.lines()
-        if lines:
-            print("\n".join([*lines, "", f"Table and figures: {folder}/"]))
+        for line in written.lines():
+            print(line)
+        if not written.table.empty:
+            print(f"\nTable and figures: {folder}/")
         return written.files, written.headline
 
     return run_sweep(settings, name, plan, report)

@@ -15,7 +15,7 @@ from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
-from flows.planning.benchmark import check_lengths, data_plan, sweep_name
+from flows.planning.benchmark import check_model, data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
 from flows.planning.subjects import search_subjects
 from flows.tuning.file_trials import FileTrials
@@ -76,8 +76,7 @@ def _journal(settings: Settings) -> Path:
 def _run(settings: Settings) -> int:
     found = search_subjects(settings)
     for subject in found:
-        if subject.model == "recurrent_ensemble":
-            check_lengths(settings, subject.dataset, subject.start)
+        check_model(settings, subject.dataset, subject.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:

@@ -29,8 +29,9 @@ from components.algorithms import ALGORITHMS
 from components.core.random_streams import LaneStreams
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
-from components.data.sources.catalogue import DATASETS, generate
-from components.environments import HOPPER_ID
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
+from components.environments.mujoco.specifications import HOPPER
 from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
@@ -69,14 +70,14 @@ def test_robots_table() -> None:
 
 
 def test_both_sides_of_the_robots_benchmark_earn_the_same() -> None:
-    policy = robots.untrained_policy(HOPPER_ID, hidden=(8,))
+    policy = robots.untrained_policy(HOPPER.id, hidden=(8,))
     protocol = EvaluationProtocol(trajectories=4, horizon=60)
-    plain, steps = robots.plain_returns(policy, HOPPER_ID, 4, protocol)
-    together = robots.evaluated(policy, HOPPER_ID, protocol, threads=2).returns[0, 0]
+    plain, steps = robots.plain_returns(policy, HOPPER.id, 4, protocol)
+    together = robots.evaluated(policy, HOPPER.id, protocol, threads=2).returns[0, 0]
     # float32 sums in another order, over up to sixty steps of contact
     np.testing.assert_allclose(together, plain, rtol=1e-3)
     assert steps < 4 * 60, "some episodes end in a fall"
-    assert robots._steps(policy, HOPPER_ID, protocol) == steps
+    assert robots._steps(policy, HOPPER.id, protocol) == steps
 
 
 def test_the_runs_of_a_comparison_take_turns() -> None:
@@ -100,7 +101,7 @@ def test_lanes_table_relates_the_stack_to_the_programs_of_one_lane() -> None:
 
 @pytest.mark.parametrize("algorithm", ["td3_bc", "lion"])
 def test_both_sides_of_the_lanes_benchmark_do_the_same_work(algorithm: str) -> None:
-    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=2), seed=0)
+    dataset = generate(IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=2), seed=0)
     device = torch.device("cpu")
     stack = lanes.program(algorithm, dataset, range(5), device, **SETTINGS[algorithm])
     alone = lanes.program(algorithm, dataset, [3], device, **SETTINGS[algorithm])
@@ -194,7 +195,7 @@ SWARM = {"particles": 3, "neighbourhood": 3, "starts": 4, "horizon": 5}
 
 
 def test_the_plain_loop_of_a_policy_s_return_computes_what_the_swarm_does() -> None:
-    dataset = generate(replace(DATASETS["mediocre-0.2"], trajectories=2), seed=0)
+    dataset = generate(IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=2), seed=0)
     settings = SWARM | {"particles": 1, "neighbourhood": 1}  # the clone alone
     learner = lanes.program("wsbc", dataset, [0], torch.device("cpu"), **settings)
     found = learner.update(0)["policy/virtual_return"]
@@ -230,7 +231,7 @@ def test_pipeline_table_and_that_it_leaves_a_tracking_server_alone(
 
 @pytest.fixture(scope="module")
 def log() -> OfflineDataset:
-    return generate(replace(DATASETS["mediocre-0.2"], trajectories=2), seed=0)
+    return generate(IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=2), seed=0)
 
 
 def test_a_missing_peer_is_one_sentence_that_says_how_to_install_it(
@@ -380,8 +381,8 @@ def test_reference_quality_is_the_first_time_all_targets_are_good_enough() -> No
 
 
 def test_ensemble_quality_benchmark_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    small = replace(DATASETS["mediocre-1.0"], trajectories=4, steps=40)
-    monkeypatch.setattr(ensemble_quality, "DATASETS", {"mediocre-1.0": small})
+    small = IndustrialSpec("mediocre-1.0", "mediocre", 1.0, trajectories=4, steps=40)
+    monkeypatch.setattr(ensemble_quality, "DATASET", small)
     text = ensemble_quality.report(config=replace(TINY, updates=6, validate_every=3))
     assert [row[0] for row in cells(text)[1:]] == ["fatigue", "consumption"]
     assert "Reference quality not reached; the whole fit took" in text

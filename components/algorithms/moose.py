@@ -155,15 +155,15 @@ class Learner(StackedLearner):
     # -- losses -----------------------------------------------------------------------------
 
     def _virtual(
-        self, part: _Part, history: Tensor, latent: Tensor, recorded: Tensor | None = None
+        self, part: _Part, observations: Tensor, past: Tensor, latent: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What virtual trajectories bring and cost.
 
         Args:
             part: Some lanes.
-            history: Their start states ``[L, B, H, F]``, raw.
+            observations: ``[L, B, H * F]`` in their start states.
+            past: ``[L, B, G, M]`` model frames up to these, as logged.
             latent: Standard normal ``[L, T, K * B, Z]``.
-            recorded: The start states as model frames ``[L, B, G, M]``, if these are others.
 
         Returns:
             Discounted returns and penalties of every member's trajectories, ``[L, K, B]``
@@ -179,20 +179,18 @@ class Learner(StackedLearner):
             saturated.append(saturation(actions))
             return actions
 
-        steps = part.environment.unroll(
-            history, act, self._config.horizon, "isolated", recorded=recorded
-        )
+        steps = part.environment.unroll(observations, past, act, self._config.horizon, "isolated")
         returns = discounted_sum([step.rewards for step in steps], self._config.discount)
         penalty = discounted_sum(penalties, self._config.penalty_discount)
-        by_member = (len(returns), -1, history.shape[1])
+        by_member = (len(returns), -1, past.shape[1])
         return returns.view(by_member), penalty.view(by_member), torch.stack(saturated).mean(dim=0)
 
     def _loss(
-        self, part: _Part, history: Tensor, latent: Tensor, recorded: Tensor | None = None
+        self, part: _Part, observations: Tensor, past: Tensor, latent: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Loss ``[L]`` of some lanes, and metrics; arguments as above."""
         weight = self._config.return_weight
-        returns, penalty, saturated = self._virtual(part, history, latent, recorded)
+        returns, penalty, saturated = self._virtual(part, observations, past, latent)
         estimate = lanewise_mean(mixed_return(returns, self._config.minimum_weight))
         cost = lanewise_mean(penalty)
         loss = -weight * estimate + (1.0 - weight) * cost
@@ -212,8 +210,7 @@ class Learner(StackedLearner):
         """One policy update on all lanes, part by part: together they would fill the memory."""
         drawn = self._streams.at(step)
         memory = self._parts[0].environment.model.memory
-        history, recorded = self._data.recorded(drawn["start"], memory)
-        given = (history, drawn["latent"], recorded)
+        given = (*self._data.start_states(drawn["start"], memory), drawn["latent"])
         found = []
         for part in self._parts:
             part.actor.zero_grad(set_to_none=True)

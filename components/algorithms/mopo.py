@@ -49,9 +49,9 @@ from components.algorithms.parts.soft_actor_critic import SoftActorCritic
 from components.core.random_streams import LaneStreams, normal_draw
 from components.data.batches import Batch
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
+from components.models.transition.interface import Prediction
 from components.models.transition.model_environment import (
     ModelEnvironment,
-    Prediction,
     PredictionRange,
     RolloutStep,
 )
@@ -167,14 +167,12 @@ class Learner(SoftActorCritic):
 
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
-        history, recorded = self._data.recorded(drawn["start"], self._model.memory)
         return self._environment.unroll(
-            history,
+            *self._data.start_states(drawn["start"], self._model.memory),
             act,
             self._config.rollout_length,
             propagation=elites[lane, drawn["elite"]].permute(2, 0, 1),
             noise=drawn["frame"].permute(2, 0, 3, 1),
-            recorded=recorded,
         )
 
     @torch.no_grad()

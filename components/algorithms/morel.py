@@ -184,7 +184,7 @@ class Learner(StackedLearner):
     @torch.no_grad()
     def _roll_out(self, start: Tensor, noise: Tensor) -> Rollouts:
         """Trajectories from logged states ``start [L, B]`` with ``noise [L, T, B, A]``."""
-        config, begin = self._config, self._data.observations(start)
+        config = self._config
         draws, saturated = iter(noise.unbind(dim=1)), []
 
         def act(observations: Tensor) -> Tensor:
@@ -192,8 +192,8 @@ class Learner(StackedLearner):
             saturated.append(saturation(actions))
             return actions
 
-        past = self._data.recorded(start, self._mdp.memory)
-        states, ended = self._mdp.roll_out(begin, *past, act)
+        past = self._data.start_states(start, self._mdp.memory)
+        states, ended = self._mdp.roll_out(*past, act)
         every = torch.arange((config.horizon + 1) * self._batch, device=start.device)
         values = [
             self._critic(states.observations(rows), rows // self._batch)

@@ -102,10 +102,14 @@ class Learner(StackedLearner):
             RecurrentTransition(ensembles, device), inputs.dynamics, self._behaviour.frames, device
         )
         starts = self._starts(inputs.keys)
-        self._history, recorded = data.recorded(starts, self._environment.model.memory)
+        clone = self._behaviour.frames  # in whose scaling all particles see
+        raw = data.raw_histories(starts)
+        scaled = (raw - clone.mean[:, None, None]) / clone.scale[:, None, None]
+        self._observations = scaled.flatten(2)
+        _, past = data.start_states(starts, self._environment.model.memory)
         # What the ensemble remembers of the record before the start: the same for all particles.
-        self._begun = self._environment.model.begin(recorded[:, None])
-        self._newest = recorded[:, :, :1]
+        self._begun = self._environment.model.begin(past[:, None])
+        self._newest = past[:, :, :1]
         self._centre = torch.cat(
             [t.flatten(1) for layer in self._behaviour.layers for t in layer], 1
         )
@@ -184,16 +188,16 @@ class Learner(StackedLearner):
         """Mean virtual returns ``[L, C]`` of the policies at ``positions [L, C, D]`` (5.17)."""
         lanes, count, _ = positions.shape
         layers = self._layers(positions)
-        history, newest = (
-            frames[:, None].expand(-1, count, -1, -1, -1).flatten(1, 2)
-            for frames in (self._history, self._newest)
+        observations, newest = (
+            known[:, None].expand(-1, count, *known.shape[1:]).flatten(1, 2)
+            for known in (self._observations, self._newest)
         )
         steps = self._environment.unroll(
-            history,
+            observations,
+            newest,
             lambda observations: self._act_by(layers, observations),
             self._config.horizon,
             state=self._begun[:, :, None].expand(-1, -1, count, -1).flatten(2),
-            recorded=newest,
         )
         returns = discounted_sum([step.rewards for step in steps], self._config.discount)
         return returns.view(lanes, count, -1).mean(dim=2)

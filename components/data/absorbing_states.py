@@ -1,6 +1,6 @@
 """Logs that go on after a fall, from which models learn that nothing happens there any more.
 
-Evaluation absorbs: after a true terminal a machine stays where it is, whatever is done, and earns
+Evaluation absorbs: after a true terminal a system stays where it is, whatever is done, and earns
 nothing. A log ends there, so that a model of it would have to guess. Here the terminal frame is
 repeated, with reward 0.
 

@@ -1,12 +1,13 @@
 """Datasets as lane-first tensors on a device: every lane draws from its own dataset.
 
-Lanes of the same dataset share its frames. Frames are normalised once, when they are loaded, and
-laid out newest first, so that a history of H frames is one run of memory in the narrow frame table;
-the wide table of stacked histories never exists.
+Lanes of the same dataset share its frames. Frames are scaled once, when they are loaded, and laid
+out in tables from which histories are gathered (:mod:`components.data.frame_table`). Model-based
+learners also read frames as they were logged; their tables are made when they are first asked for.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from torch import Tensor
 from components.core.normaliser import Normaliser
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification, model_frames
-from components.data.history import newest_first
+from components.data.frame_table import FrameTable, LogLayout
 
 __all__ = ["Batch", "LaneData"]
 
@@ -80,12 +81,12 @@ class LaneData:
         self.counts = [d.transitions for d in datasets]  # transitions per lane
 
         self._distinct = distinct
-        scaled = [
-            scalers[d.card.digest].apply(torch.from_numpy(np.array(d.frames))) for d in distinct
-        ]
         # One frame more than a history, for the next observation's newest one.
-        self._frames, self._newest = self._laid_out(scaled, self.history + 1)
-        self._model_frames: dict[int, tuple[Tensor, Tensor]] = {}
+        self._layout = LogLayout(distinct, self.history + 1, device)
+        self._scaled = self._layout.table(
+            [scalers[d.card.digest].apply(torch.from_numpy(np.array(d.frames))) for d in distinct]
+        )
+        self._model_tables: dict[int, tuple[LogLayout, FrameTable]] = {}
         actions, rewards, continues = [], [], []
         offsets, transition_offset = {}, 0
         for data in distinct:
@@ -117,7 +118,7 @@ class LaneData:
     def batch(self, index: Tensor) -> Batch:
         """Gather transitions ``index [L, B]``, counted within each lane's dataset."""
         flat = index + self._base
-        window = _runs(self._frames, self._newest[flat] - 1, self.history + 1)
+        window = self._scaled.windows(self._layout.newest[flat] - 1, self.history + 1)
         actions, rewards = self._actions[flat], self._rewards[flat]
         return Batch(
             observations=window[:, :, self.frame_width :],
@@ -129,59 +130,49 @@ class LaneData:
 
     def observations(self, index: Tensor) -> Tensor:
         """Normalised histories ``[L, B, O]`` of transitions ``index [L, B]``."""
-        flat = index + self._base
-        return _runs(self._frames, self._newest[flat], self.history)
+        return self._scaled.windows(self._layout.newest[index + self._base], self.history)
 
     def actions(self, index: Tensor) -> Tensor:
         """Logged actions ``[L, B, A]`` of transitions ``index [L, B]``."""
         return self._actions[index + self._base]
 
-    def denormalise_history(self, observations: Tensor) -> Tensor:
-        """Raw frames ``[L, B, H, F]`` of normalised histories ``[L, B, O]``."""
-        frames = observations.view(*observations.shape[:-1], self.history, self.frame_width)
-        scaling = self.frame_scaling
-        return frames * scaling.scale[:, None, None] + scaling.mean[:, None, None]
+    def raw_histories(self, index: Tensor) -> Tensor:
+        """Frames ``[L, B, H, F]`` as logged, of the histories of transitions ``index [L, B]``."""
+        found = self._raw.windows(self._layout.newest[index + self._base], self.history)
+        return found.view(*index.shape, self.history, -1)
 
-    def recorded(self, index: Tensor, frames: int) -> tuple[Tensor, Tensor]:
+    def start_states(self, index: Tensor, frames: int) -> tuple[Tensor, Tensor]:
         """What policies and models know of the past of transitions ``index [L, B]``.
 
         Args:
             index: Counted within each lane's dataset.
-            frames: G, machine frames that a model begins with.
+            frames: G, model frames that a model begins with.
 
         Returns:
-            Raw histories ``[L, B, H, F]`` as policies see them, and raw machine frames, newest
-            first: ``[L, B, G, M]``, where the first one of an episode is repeated before it; or the
-            histories themselves, where policies see whole machine frames.
+            Observations ``[L, B, O]`` as policies see them; model frames ``[L, B, G, M]``, newest
+            first and not scaled, where the first one of an episode is repeated before it. Where
+            policies see whole model frames, these are as many as they see, H instead of G.
         """
-        history = self.denormalise_history(self.observations(index))
-        rule = DynamicsSpecification.of_card(self.datasets[0].card)
-        if not rule.hides:
-            return history, history
-        if frames not in self._model_frames:
-            tables = [torch.from_numpy(model_frames(d, rule)) for d in self._distinct]
-            self._model_frames[frames] = self._laid_out(tables, frames)
-        table, newest = self._model_frames[frames]
-        found = _runs(table, newest[index + self._base], frames)
-        return history, found.view(*index.shape, frames, -1)
+        if not self._dynamics.hides:
+            return self.observations(index), self.raw_histories(index)
+        if frames not in self._model_tables:
+            self._model_tables[frames] = self._model_table(frames)
+        layout, table = self._model_tables[frames]
+        found = table.windows(layout.newest[index + self._base], frames)
+        return self.observations(index), found.view(*index.shape, frames, -1)
 
-    def _laid_out(self, tables: Sequence[Tensor], length: int) -> tuple[Tensor, Tensor]:
-        """Frames ``[N + E, F]`` of the distinct datasets, so that histories are runs of rows.
+    def _model_table(self, frames: int) -> tuple[LogLayout, FrameTable]:
+        """Model frames, for pasts of so many; a short past fits into the policies' layout."""
+        fits = frames <= self.history + 1
+        layout = self._layout if fits else LogLayout(self._distinct, frames, self.device)
+        tables = [torch.from_numpy(model_frames(d, self._dynamics)) for d in self._distinct]
+        return layout, layout.table(tables)
 
-        Returns:
-            One table of all of them, and the row of every transition's newest frame.
-        """
-        laid, newest, offset = [], [], 0
-        for data, frames in zip(self._distinct, tables, strict=True):
-            order, place = newest_first(data.episode_starts, length)
-            laid.append(frames[torch.from_numpy(order)])
-            newest.append(torch.from_numpy(place[data.frame_rows()] + offset))
-            offset += len(order)
-        return torch.cat(laid).to(self.device), torch.cat(newest).to(self.device)
+    @cached_property
+    def _raw(self) -> FrameTable:
+        """Frames as logged, in the order of the scaled ones; only model-based learners want it."""
+        return self._layout.table([torch.from_numpy(np.array(d.frames)) for d in self._distinct])
 
-
-def _runs(table: Tensor, newest: Tensor, length: int) -> Tensor:
-    """Histories ``[L, B, length * F]`` that begin with the table's rows ``newest [L, B]``."""
-    rows, width = table.shape
-    windows = table.as_strided((rows - length + 1, length * width), (width, 1))
-    return windows.index_select(0, newest.flatten()).view(*newest.shape, -1)
+    @cached_property
+    def _dynamics(self) -> DynamicsSpecification:
+        return DynamicsSpecification.of_card(self.datasets[0].card)

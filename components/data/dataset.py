@@ -27,6 +27,8 @@ __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "c
 
 FORMAT_VERSION: Final = 1
 _CARD = "card.json"
+_DYNAMICS: Final = "machine"
+"""Name of the dynamics specification on a stored card."""
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "frames": "<f4",
@@ -67,7 +69,7 @@ class DatasetCard:
         history: frames in an observation, newest first.
         frame_features: names of the values of a frame.
         action_features: names of the values of an action, each in [-1, 1].
-        machine: what is known of the machine without learning, see `machine.py`: `known`
+        dynamics: what is known of the system without learning, see `dynamics.py`: `known`
             (`features`, whose last ones follow the actions, and what these `keep`, `scale`, `low`
             and `high`), `learned` (features to be predicted) and `reward` (weights of these);
             optionally `healthy` (ranges of frame features outside of which it has fallen).
@@ -97,7 +99,7 @@ class DatasetCard:
     history: int
     frame_features: tuple[str, ...]
     action_features: tuple[str, ...]
-    machine: Mapping[str, Any]
+    dynamics: Mapping[str, Any]
     return_steps: int
     first_window_return_mean: float
     first_window_return_min: float
@@ -113,7 +115,8 @@ class DatasetCard:
     def to_json(self) -> str:
         """The card as indented JSON, the same text for the same card."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("environment_parameters", "machine"):
+        values[_DYNAMICS] = values.pop("dynamics")
+        for name in ("environment_parameters", _DYNAMICS):
             values[name] = dict(values[name])
         return json.dumps(values, indent=2, sort_keys=True) + "\n"
 
@@ -145,6 +148,8 @@ class DatasetCard:
 def _amend(values: dict[str, Any]) -> None:
     if {"trajectories", "steps"} <= values.keys():  # on older cards, all episodes are as long
         values.setdefault("transitions", values["trajectories"] * values["steps"])
+    if _DYNAMICS in values:
+        values["dynamics"] = values.pop(_DYNAMICS)
 
 
 _REMEDY: Final = "generate the dataset again"

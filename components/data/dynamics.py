@@ -1,15 +1,16 @@
-"""What is known of a machine without learning, and the frames by which models see it.
+"""What is known of a system without learning, and the frames by which models see it.
 
-A *machine frame* has known features, which follow from the action exactly, and learned ones, which
+A *model frame* has known features, which follow from the action exactly, and learned ones, which
 a model predicts:
 
     known' = clip(keep * known + scale * action, low, high)      reward = sum of weights * learned
 
 The dataset's card names both. The last known features bear the actions' names and follow them; any
-before these, such as a setpoint, stay what they are. A machine that shows its steerings keeps them
-and moves them by the action; of a robot nothing is known but the action itself (keep 0, scale 1),
-and everything it shows is learned, its reward included. The machine frame of a state is put
-together by name from what the log holds: the frame, the action before it, the reward with it.
+before these, such as a setpoint, stay what they are. The Industrial Benchmark shows its steerings,
+which keep their values and are moved by the action. Of a robot nothing is known but the action
+itself (keep 0, scale 1), and everything it shows is learned, its reward included. The model frame
+of a state is put together by name from what the log holds: the frame, the action before it, the
+reward with it.
 """
 
 from dataclasses import dataclass
@@ -28,11 +29,11 @@ REWARD: Final = "reward"
 
 @dataclass(frozen=True)
 class DynamicsSpecification:
-    """What a dataset's card says about its machine.
+    """What a dataset's card says about its system.
 
     Attributes:
         known: Names of the features that follow from the action.
-        learned: Names of those that are predicted; both together are a machine frame.
+        learned: Names of those that are predicted; both together are a model frame.
         keep: What remains of a known feature, for each action.
         scale: What a unit of the action adds to it.
         low: Smallest value of a feature that follows an action.
@@ -40,7 +41,7 @@ class DynamicsSpecification:
         reward: Weight of each learned feature in the reward.
         sources: Place of each feature in (frame, action before it, reward with it).
         observed: Where the features that policies see, those of the log's frames, begin among a
-            machine frame's, and where they end.
+            model frame's, and where they end.
     """
 
     known: tuple[str, ...]
@@ -58,19 +59,19 @@ class DynamicsSpecification:
         """Read the rule off a dataset's card.
 
         Raises:
-            ValueError: If the card does not tell how actions move the machine, or tells it of
+            ValueError: If the card does not tell how actions move the system, or tells it of
                 features that the dataset does not log.
         """
         try:
-            section = card.machine["known"]
-            known, learned = tuple(section["features"]), tuple(card.machine["learned"])
+            section = card.dynamics["known"]
+            known, learned = tuple(section["features"]), tuple(card.dynamics["learned"])
             keep, scale = (tuple(map(float, section[name])) for name in ("keep", "scale"))
             low, high = float(section["low"]), float(section["high"])
-            weights = dict(card.machine["reward"])
+            weights = dict(card.dynamics["reward"])
         except KeyError as error:
             raise ValueError(
                 f"The card of {card.name} lacks {error} in its machine section, which virtual "
-                "trajectories need; generate the dataset again."
+                "trajectories need; write it there, or generate the dataset again."
             ) from error
         features, frame = (*known, *learned), card.frame_features
         logged = [*frame, *card.action_features, REWARD]
@@ -78,8 +79,8 @@ class DynamicsSpecification:
         last = first + len(frame)
         if not set(features) <= set(logged) or features[first:last] != frame:
             raise ValueError(
-                f"The machine of {card.name} needs frames of {features}, but {card.name} logs "
-                f"{frame} and actions {card.action_features}."
+                f"The dynamics specification of {card.name} needs frames of {features}, but "
+                f"{card.name} logs {frame} and actions {card.action_features}."
             )
         actions = card.action_features
         if known[-len(actions) :] != actions or not len(keep) == len(scale) == len(actions):
@@ -105,12 +106,12 @@ class DynamicsSpecification:
 
     @property
     def features(self) -> tuple[str, ...]:
-        """Names of a machine frame's features, the known ones first."""
+        """Names of a model frame's features, the known ones first."""
         return self.known + self.learned
 
     @property
     def hides(self) -> bool:
-        """Whether policies see less than machine frames."""
+        """Whether policies see less than model frames."""
         return self.observed != (0, len(self.features))
 
     @property
@@ -121,13 +122,13 @@ class DynamicsSpecification:
 
 
 def model_frames(dataset: OfflineDataset, rule: DynamicsSpecification) -> NDArray[np.float32]:
-    """Machine frames ``[N + E, M]`` of all states of a log.
+    """Model frames ``[N + E, M]`` of all states of a log.
 
     What only a transition can tell, the action before a state and the reward received with it, is
     0 in the first frame of an episode.
 
     Args:
-        dataset: The log; where its frames are machine frames, they are returned as they are.
+        dataset: The log; where its frames are model frames, they are returned as they are.
         rule: Read off its card.
     """
     if not rule.hides:

@@ -16,7 +16,7 @@ Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,10 @@ import minari
 import numpy as np
 from minari.data_collector import EpisodeBuffer
 
-import components.environments  # registers the environment that the export names
 from components.core.files import temporary_name
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.history import gather_history
+from components.environments.systems import SYSTEMS  # its package registers them with Gymnasium
 
 __all__ = ["export_minari", "import_minari", "minari_id"]
 
@@ -72,7 +72,7 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
             created = minari.create_dataset_from_buffers(
                 dataset_id,
                 list(_episodes(dataset, history)),
-                env=_environment_spec(card, history),
+                **_system(card, history),
                 algorithm_name=_controller(card),
                 author="proximity-bench",
                 description=_description(card, stacked),
@@ -158,13 +158,20 @@ def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
         )
 
 
-def _environment_spec(card: DatasetCard, history: int) -> Any:
+def _system(card: DatasetCard, history: int) -> dict[str, Any]:
+    """The system that a log comes from, or, where there is none, the spaces it lived in."""
+    if card.environment not in SYSTEMS:
+        width, actions = history * len(card.frame_features), len(card.action_features)
+        return {
+            "observation_space": gym.spaces.Box(-np.inf, np.inf, (width,), np.float32),
+            "action_space": gym.spaces.Box(-1.0, 1.0, (actions,), np.float32),
+        }
     parameters = dict(card.environment_parameters)
     if card.history > 1:  # systems that are observed frame by frame do not know the word
         parameters["history"] = history
     environment = gym.make(card.environment, max_episode_steps=card.steps, **parameters)
     try:
-        return environment.spec
+        return {"env": environment.spec}
     finally:
         environment.close()
 
@@ -189,9 +196,9 @@ def _description(card: DatasetCard, stacked: bool) -> str:
             f" The benchmark's observation is the last {card.history} frames, newest first, with "
             "the episode's first frame in the place of missing ones."
         )
-    weights: dict[str, float] = card.machine["reward"]
+    weights: Mapping[str, float] = card.dynamics.get("reward", {})
     reward = "the system's own"
-    if set(weights) <= set(card.frame_features):
+    if weights and set(weights) <= set(card.frame_features):
         terms = " + ".join(f"({weight:g}) {name}" for name, weight in weights.items())
         reward = f"{terms} of the frame after the action"
     return (
@@ -214,6 +221,3 @@ def _minari_root(folder: Path) -> Iterator[None]:
             del os.environ[_ROOT_VARIABLE]
         else:
             os.environ[_ROOT_VARIABLE] = before
-
-
-assert components.environments.INDUSTRIAL_BENCHMARK_ID in gym.registry

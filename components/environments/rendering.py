@@ -15,12 +15,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.frame_history import FrameHistory
+from components.environments.systems import drawable_systems
 
 __all__ = ["DRAWABLE", "FRAMES_PER_SECOND", "Take", "drawing_library", "film"]
 
-DRAWABLE: Final = (SWIMMER_ID, HOPPER_ID, WALKER2D_ID)
+DRAWABLE: Final = drawable_systems()
 """Gymnasium ids of the systems that can be drawn."""
 FRAMES_PER_SECOND: Final = 25
 """Pictures per simulated second; a divisor of all robots' steps per second (25 and 125)."""

@@ -1,19 +1,28 @@
-"""Copies of a real system stepped together: what collection and evaluation need of one."""
+"""The registry of real systems: whatever is known of one by name or Gymnasium id stands here.
+
+A robot comes in by its specification (:data:`.mujoco.specifications.ROBOTS`), another system by a
+record of its own.
+"""
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID, SWIMMER_ID, WALKER2D_ID
-from components.environments.industrial.benchmark import IndustrialBenchmark
-from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import HOPPER, SWIMMER, WALKER2D
+from components.environments.industrial.benchmark import DYNAMICS, IndustrialBenchmark
+from components.environments.mujoco.specifications import ROBOTS, Robot
 
-__all__ = ["BatchEnvironment", "make_batch"]
+__all__ = [
+    "INDUSTRIAL_BENCHMARK",
+    "SYSTEMS",
+    "BatchEnvironment",
+    "System",
+    "drawable_systems",
+    "make_batch",
+]
 
 
 class BatchEnvironment(Protocol):
@@ -43,19 +52,77 @@ class BatchEnvironment(Protocol):
         """Act with `[N, A]`; returns frames `[N, F]` and rewards `[N]`."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """One real system.
+
+    Attributes:
+        name: short name.
+        id: Gymnasium id.
+        batch: `batch(copies, threads=..., **parameters)` makes N copies stepped together; it
+            imports the simulator when it is called.
+        parameters: names of its parameters.
+        dynamics: what is known of it without learning, as on a dataset's card
+            (:mod:`components.data.dynamics`).
+        entry_point: "package.module:Class" of a single one, for Gymnasium.
+        vector_entry_point: the same of Gymnasium's vectorised interface, if it has one.
+        drawable: whether there are pictures of it.
+    """
+
+    name: str
+    id: str
+    batch: Callable[..., BatchEnvironment]
+    parameters: tuple[str, ...]
+    dynamics: Mapping[str, Any]
+    entry_point: str
+    vector_entry_point: str | None = None
+    drawable: bool = False
+
+
 def _industrial(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
     """Whatever threads there are: its arithmetic is NumPy's."""
     return IndustrialBenchmark(copies, **parameters)
 
 
-_MAKERS: Final[Mapping[str, Callable[..., BatchEnvironment]]] = MappingProxyType(
-    {
-        INDUSTRIAL_BENCHMARK_ID: _industrial,
-        SWIMMER_ID: partial(Robots, SWIMMER),
-        HOPPER_ID: partial(Robots, HOPPER),
-        WALKER2D_ID: partial(Robots, WALKER2D),
-    }
+INDUSTRIAL_BENCHMARK: Final = System(
+    name="industrial_benchmark",
+    id="proximity/IndustrialBenchmark-v0",
+    batch=_industrial,
+    parameters=("setpoint",),
+    dynamics=DYNAMICS,
+    entry_point="components.environments.industrial.gymnasium_api:IndustrialBenchmarkEnv",
+    vector_entry_point=(
+        "components.environments.industrial.gymnasium_api:IndustrialBenchmarkVectorEnv"
+    ),
 )
+
+
+def _robot_system(robot: Robot) -> System:
+    def batch(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
+        from components.environments.mujoco.robots import Robots  # MuJoCo is slow to import
+
+        return Robots(robot, copies, threads=threads, **parameters)
+
+    return System(
+        name=robot.name,
+        id=robot.id,
+        batch=batch,
+        parameters=("physics",),
+        dynamics=robot.dynamics,
+        entry_point=f"components.environments.mujoco.gymnasium_api:{robot.class_name}",
+        drawable=True,
+    )
+
+
+SYSTEMS: Final[Mapping[str, System]] = MappingProxyType(
+    {system.id: system for system in (INDUSTRIAL_BENCHMARK, *map(_robot_system, ROBOTS.values()))}
+)
+"""All systems by Gymnasium id."""
+
+
+def drawable_systems() -> tuple[str, ...]:
+    """Gymnasium ids of the systems of which there are pictures."""
+    return tuple(system.id for system in SYSTEMS.values() if system.drawable)
 
 
 def make_batch(
@@ -70,12 +137,14 @@ def make_batch(
         parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` of a robot.
 
     Raises:
-        ValueError: If the id is unknown.
+        ValueError: an unknown id or parameter.
     """
-    try:
-        maker = _MAKERS[environment]
-    except KeyError:
-        raise ValueError(
-            f"Unknown environment {environment!r}; known are {', '.join(_MAKERS)}."
-        ) from None
-    return maker(copies, threads=threads, **parameters)
+    if environment not in SYSTEMS:
+        raise ValueError(f"Unknown environment {environment!r}; known are {', '.join(SYSTEMS)}.")
+    system = SYSTEMS[environment]
+    for name in parameters:
+        if name not in system.parameters:
+            raise ValueError(
+                f"{environment} has no parameter {name!r}; it has {', '.join(system.parameters)}."
+            )
+    return system.batch(copies, threads=threads, **parameters)

@@ -8,11 +8,12 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
-from components.data.sources.catalogue import DatasetSpec, spec_kind
+from components.data.sources.source import DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
 from flows.configuration.checking import SettingsError, Strict, build_config
 from flows.configuration.composition import DEVIATIONS
 from flows.configuration.defaults import ALGORITHM_CONFIGS
+from flows.configuration.files import CONF
 from flows.configuration.sections import (
     AggregationSettings,
     AlgorithmConfigs,
@@ -53,24 +54,26 @@ def _folder(store: Any) -> Any:
     return store
 
 
-def _specification(name: str, fields: Any, data: DataSettings) -> DatasetSpec:
-    """What a dataset is made of, without what its file says about algorithms and models."""
+def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
+    """Where a dataset comes from, without what its file says about algorithms and models."""
     path = f"dataset.{name}"
     if not isinstance(fields, Mapping):
         raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
     own = {k: v for k, v in fields.items() if k not in ("domain", *DEVIATIONS)}
-    kind = spec_kind(own)
+    kind = source_kind(own)
+    if isinstance(own.get("log"), str):  # a relative folder is one of the project, like conf/
+        own["log"] = str(CONF.parent / own["log"])
     known = {field.name for field in dataclasses.fields(kind)}
     sizes = {k: v for k, v in data.model_dump(exclude={"seed"}).items() if k in known}
-    spec: DatasetSpec = build_config(kind, path, {"name": name, **own, **sizes})
-    return spec
+    source: DatasetSource = build_config(kind, path, {"name": name, **own, **sizes})
+    return source
 
 
 class Settings(Strict):
     """A complete, checked configuration.
 
     Attributes:
-        dataset: Every dataset of conf/dataset by name, with sizes filled in.
+        dataset: Source of every dataset of conf/dataset by name, with sizes filled in.
         mopo_penalties: One MOPO policy for each of these instead of one.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
@@ -103,10 +106,10 @@ class Settings(Strict):
 
     @field_validator("dataset")
     @classmethod
-    def _specifications(cls, files: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _sources(cls, files: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if "data" not in info.data:  # which is wrong itself
             return {}
-        return {n: _specification(n, fields, info.data["data"]) for n, fields in files.items()}
+        return {n: _source(n, fields, info.data["data"]) for n, fields in files.items()}
 
     @field_validator("datasets", mode="before")
     @classmethod

@@ -40,7 +40,8 @@ class Job:
         key: The node's key.
         name: The node's run name, for messages.
         config: The node's configuration.
-        inputs: Absolute folders of the finished inputs, by role. Read only.
+        inputs: Absolute folders of the finished inputs and of what the node reads outside the
+            store, by role. Read only.
         out: An empty folder to fill; it becomes the artifact when the task returns.
     """
 

@@ -29,7 +29,8 @@ class GroupCall:
         group: Name of the group, for its progress file.
         root: Absolute folder of the store.
         task: Import path of the task function.
-        nodes: Per node its key, name, component, version, config, input keys by role, tags, cost.
+        nodes: Per node its key, name, component, version, config, input keys and folders by
+            role, tags, cost.
         device: "cpu" or "cuda".
         threads: Threads to use.
     """
@@ -54,6 +55,7 @@ class GroupCall:
                 "version": node.version,
                 "config": dict(node.config),
                 "inputs": {role: source.key for role, source in node.inputs.items()},
+                "folders": dict(node.folders),
                 "tags": dict(node.tags),
                 "cost": node.cost,
             }
@@ -182,6 +184,7 @@ def _job(store: ArtifactStore, work: Work, node: Mapping[str, Any]) -> Job:
                 f"The input {role!r} of {node['name']} is missing ({folder}): "
                 "give the same command again, and it will be made."
             )
+    inputs |= {role: Path(folder) for role, folder in node["folders"].items()}
     return Job(node["key"], node["name"], dict(node["config"]), inputs, work.out(node["key"]))
 
 

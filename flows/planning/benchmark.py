@@ -6,7 +6,11 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
+from components.data.dynamics import DynamicsSpecification
+from components.data.sources.stored_log import StoredLog
 from components.models import MODELS
+from components.models.mlp_ensemble.config import MLPEnsembleConfig
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Node, Plan, digest
 from flows.planning.costs import data_cost
@@ -16,7 +20,7 @@ __all__ = [
     "COMPONENTS",
     "Variant",
     "benchmark_plan",
-    "check_lengths",
+    "check_model",
     "data_plan",
     "model_choice",
     "model_node",
@@ -77,20 +81,22 @@ def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
 
 
 def _data_node(settings: Settings, name: str) -> Node:
-    spec = settings.dataset[name]
+    source = settings.dataset[name]
     try:
-        made_with = dict(spec.ingredients)
+        made_with = dict(source.ingredients)
     except (FileNotFoundError, ValueError) as error:
         raise SettingsError(f"{name}: {error}") from error
+    stored = isinstance(source, StoredLog)
     return Node(
         component="data_generation",
         name=f"data/{name}",
         task="flows.tasks.data_generation:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": plain(asdict(spec)), "seed": settings.data.seed}
+        config={"spec": plain(source.identity), "seed": 0 if stored else settings.data.seed}
         | ({"ingredients": made_with} if made_with else {}),
+        folders={"log": str(source.folder)} if stored else {},
         tags={"dataset": name},
-        cost=data_cost(spec),
+        cost=data_cost(source),
     )
 
 
@@ -225,15 +231,38 @@ def model_choice(settings: Settings) -> ModelChoice:
     return choose_models(settings, _needed_models(settings), data)
 
 
-def check_lengths(settings: Settings, dataset: str, model: Any) -> None:
-    """Refuse trajectories that are too short for a recurrent ensemble.
+def check_model(settings: Settings, dataset: str, model: Any) -> None:
+    """Refuse to fit a model on a dataset that lacks what it needs.
+
+    Args:
+        settings: What is wanted.
+        dataset: Name of the dataset.
+        model: Configuration object of the model.
 
     Raises:
-        SettingsError: They are.
+        SettingsError: Trajectories are too short for a recurrent ensemble, or the card of a stored
+            log does not tell the dynamics specification that transition models need.
     """
-    if settings.dataset[dataset].steps < model.warm_up + model.horizon:
+    source = settings.dataset[dataset]
+    stored = isinstance(source, StoredLog)
+    if stored and isinstance(model, RecurrentEnsembleConfig | MLPEnsembleConfig):
+        try:
+            DynamicsSpecification.of_card(source.card)
+        except ValueError as error:
+            raise SettingsError(
+                f"{dataset}: {str(error).rstrip('.')}; or choose algorithms that need no "
+                "transition model."
+            ) from error
+    if not isinstance(model, RecurrentEnsembleConfig):
+        return
+    if source.steps < model.warm_up + model.horizon:
+        size = (
+            f"{dataset} has {source.steps} steps an episode, which"
+            if stored
+            else (f"data.steps={settings.data.steps}")
+        )
         raise SettingsError(
-            f"data.steps={settings.data.steps} is less than warm_up + horizon = "
+            f"{size} is less than warm_up + horizon = "
             f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
             "lower the others."
         )
@@ -242,18 +271,19 @@ def check_lengths(settings: Settings, dataset: str, model: Any) -> None:
 def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
     """The whole grid: datasets x algorithms x seeds, with all they need.
 
+    It ends with the policies of datasets that have no system.
+
     Args:
         settings: What is wanted.
         choice: Settings of the models, if they are known already.
 
     Raises:
-        SettingsError: If the trajectories are too short for the models, or what a dataset is made
-            with is missing or damaged.
+        SettingsError: If a dataset does not suit the models, or what it is made with is missing or
+            damaged.
     """
     choice = choice or model_choice(settings)
-    for (dataset, name), config in choice.configs.items():
-        if name == "recurrent_ensemble":
-            check_lengths(settings, dataset, config)
+    for (dataset, _), config in choice.configs.items():
+        check_model(settings, dataset, config)
     nodes = []
     for dataset in settings.datasets:
         data = _data_node(settings, dataset)
@@ -272,7 +302,7 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
         for algorithm in settings.algorithms:
             special = settings.models_for(dataset, algorithm)
             for variant in variants(settings, dataset, algorithm):
-                evaluations = {}
+                policies = {}
                 for seed in settings.seeds:
                     fitted = seed if own else 0
                     inputs = {"dataset": data, **models[fitted]}
@@ -280,8 +310,14 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
                         inputs[name] = model_node(
                             name, config, dataset, data, fitted, shared=not own, wanted_by=algorithm
                         )
-                    policy = _policy_node(settings, variant, dataset, seed, inputs)
-                    evaluations[seed] = _evaluation_node(settings, variant, policy, behaviour)
+                    policies[seed] = _policy_node(settings, variant, dataset, seed, inputs)
+                if settings.dataset[dataset].environment is None:
+                    nodes += policies.values()  # nothing can judge them
+                    continue
+                evaluations = {
+                    seed: _evaluation_node(settings, variant, policy, behaviour)
+                    for seed, policy in policies.items()
+                }
                 nodes.append(_aggregation_node(settings, variant, dataset, evaluations))
     return Plan(nodes)
 

@@ -7,12 +7,15 @@ Those of models and policies are in the records of :data:`components.models.MODE
 
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
+from components.data.sources.stored_log import StoredLog
 
 __all__ = ["data_cost"]
 
 
-def data_cost(spec: IndustrialSpec | RobotSpec) -> float:
+def data_cost(spec: IndustrialSpec | RobotSpec | StoredLog) -> float:
     """Core-seconds of a dataset."""
+    if isinstance(spec, StoredLog):
+        return 0.1 + 1e-7 * spec.card.transitions
     if isinstance(spec, RobotSpec):
         return 1.5e-4 * spec.transitions
     return 1e-5 * spec.trajectories * spec.steps

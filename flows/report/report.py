@@ -29,11 +29,22 @@ class Report:
         files: Table, the same as Markdown, figures.
         table: One row per dataset, algorithm and proximity.
         summaries: What aggregation has stored, behind the rows.
+        without_system: Datasets whose policies cannot be evaluated.
     """
 
     files: Sequence[Path]
     table: pd.DataFrame
     summaries: Sequence[Mapping[str, Any]]
+    without_system: Sequence[str]
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on what the table cannot show."""
+        nobody = "comes with no system to evaluate on, so its policies are stored and not judged."
+        return [
+            *ended_notes(self.summaries),
+            *(f"{name} {nobody}" for name in self.without_system),
+        ]
 
     @property
     def headline(self) -> dict[str, list[tuple[int, float]]]:
@@ -47,11 +58,9 @@ class Report:
         }
 
     def lines(self) -> list[str]:
-        """What to print: the table and notes on it; nothing of an empty report."""
-        if self.table.empty:
-            return []
-        notes = [f"Note: {note}" for note in ended_notes(self.summaries)]
-        return [*markdown_table(self.table).splitlines(), *notes]
+        """What to print: the table, if it has rows, and notes on it."""
+        table = [] if self.table.empty else markdown_table(self.table).splitlines()
+        return [*table, *(f"Note: {note}" for note in self.notes)]
 
 
 def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
@@ -74,16 +83,26 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
         DatasetCard.load(store.path(node.key) / "dataset" / "card.json") for node in generations
     ]
     table = result_table(summaries)
+    files = [folder / "results.csv", folder / "results.md"]
+    files += _write_figures(folder, cards, _drawn(aggregations, summaries))
+    report = Report(files, table, summaries, _without_system(plan))
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
-    notes = [*ended_notes(summaries), *film_notes(done, drawable)]
+    notes = [*report.notes, *film_notes(done, drawable)]
     text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
-
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
     ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
-    figures = _write_figures(folder, cards, _drawn(aggregations, summaries))
     write_text(folder / "results.csv", results_csv(table))
     write_text(folder / "results.md", text)
-    return Report([folder / "results.csv", folder / "results.md", *figures], table, summaries)
+    return report
+
+
+def _without_system(plan: Plan) -> list[str]:
+    """Datasets of the plan with policies and no evaluation."""
+    trained, evaluated = (
+        {node.tags["dataset"] for node in plan if node.component == component}
+        for component in ("policy_training", "evaluation")
+    )
+    return sorted(trained - evaluated)
 
 
 def _drawn(

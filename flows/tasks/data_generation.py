@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from components.data.sources.catalogue import generate, spec_kind
+from components.data.sources.source import generate, source_kind
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import note_dataset, write_numbers
 
@@ -12,11 +12,16 @@ __all__ = ["generate_dataset"]
 def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
     """Data generation: `dataset/` holds the arrays and the card."""
     for job in jobs:
-        dataset = generate(
-            spec_kind(job.config["spec"])(**job.config["spec"]),
-            job.config["seed"],
-            context.threads,
-        )
+        fields = dict(job.config["spec"])
+        if "log" in job.inputs:
+            fields["log"] = str(job.inputs["log"])
+        source = source_kind(fields)(**fields)
+        wanted = job.config.get("ingredients", {})
+        if dict(source.ingredients) != wanted:
+            raise ValueError(
+                f"What {source.name} is made with has changed; give the command again."
+            )
+        dataset = generate(source, job.config["seed"], context.threads)
         dataset.write(job.out / "dataset")
         card = dataset.card
         write_numbers(

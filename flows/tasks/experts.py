@@ -15,9 +15,9 @@ from components.core.files import read_json
 from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
-from components.data.sources.robots import ROBOT_DATASETS, ROBOTS, make_robots
+from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import simulator_version
+from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
@@ -32,7 +32,7 @@ _REACHED = "reached.json"
 
 
 def _robots(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
-    return make_robots(config["robot"], copies, config["physics"], threads)
+    return Robots(ROBOTS[config["robot"]], copies, config["physics"], threads)
 
 
 def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -70,7 +70,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         policy = read_input(job, f"seed{best}", Policy.load, "policy")
         training = config["training"]
         return_steps = min(RETURN_STEPS, training["horizon"])
-        discount = ROBOT_DATASETS[config["robot"]].discount
+        discount = RobotSpec.discount
         key = lane_key("expert", config["robot"], "verdict")
         returns = evaluate_episodes(
             lambda frames, policy=policy: act_in_double(policy, frames),
@@ -82,7 +82,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         )
         card = ExpertCard(
             robot=config["robot"],
-            environment=ROBOTS[config["robot"]],
+            environment=ROBOTS[config["robot"]].id,
             physics=config["physics"],
             simulator=simulator_version(),
             seed=best,

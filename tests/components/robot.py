@@ -75,7 +75,7 @@ def make_robot_log(
         history=1,
         frame_features=FEATURES,
         action_features=ACTIONS,
-        machine={
+        dynamics={
             "known": {
                 "features": list(ACTIONS),
                 "keep": [0.0, 0.0],

@@ -90,7 +90,7 @@ def make_log(
         history=history,
         frame_features=FEATURES,
         action_features=("velocity", "gain", "shift"),
-        machine={
+        dynamics={
             "known": {
                 "features": list(FEATURES[:4]),
                 "keep": [1.0] * 3,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from components.core.files import write_json
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
+from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco.specifications import HOPPER
 from components.environments.rendering import Take, drawing_library
 from components.policies.policy import Policy
@@ -54,7 +54,7 @@ def store(tmp_path: Path) -> ArtifactStore:
     store = ArtifactStore(tmp_path / "runs")
     for key in (DATA, HOPPING, TWIN, ADAPTIVE, INDUSTRIAL, MACHINE_DATA):
         store.path(key).mkdir()
-    add_dataset(store, DATA, HOPPER_ID, {"physics": "v3"})
+    add_dataset(store, DATA, HOPPER.id, {"physics": "v3"})
     add_dataset(store, MACHINE_DATA, INDUSTRIAL_BENCHMARK_ID, {"setpoint": 70.0})
     add_policy(store, HOPPING, "bc/hopper/seed0", DATA)
     add_policy(store, TWIN, "bc/hopper/seed1", DATA)
@@ -109,7 +109,7 @@ def test_the_last_snapshot_acts_in_the_dataset_s_environment(
     monkeypatch.setattr(render, "film", film)
     out = f"out={tmp_path / 'a.gif'}"
     assert door(store, monkeypatch, f"run={TWIN}", out, "seed=4", "steps=7", "size=32") == 0
-    assert (asked["environment"], asked["parameters"]) == (HOPPER_ID, {"physics": "v3"})
+    assert (asked["environment"], asked["parameters"]) == (HOPPER.id, {"physics": "v3"})
     assert asked["options"] == {"history": 1, "steps": 7, "seed": 4, "size": 32}
     assert asked["action"] == pytest.approx([0.5, -0.5, 0.25])
 

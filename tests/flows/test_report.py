@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from components.core.files import write_json
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID
+from components.environments import INDUSTRIAL_BENCHMARK_ID
+from components.environments.mujoco.specifications import HOPPER
 from components.reporting.stored import open_report
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node
@@ -83,7 +84,7 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     [_, text] = report.write_report(tmp_path / "industrial", plan, store).files
     assert "flows.render" not in text.read_text(encoding="utf-8")
-    Card.environment = HOPPER_ID
+    Card.environment = HOPPER.id
     [_, text] = report.write_report(tmp_path / "robot", plan, store).files
     lines = [line for line in text.read_text(encoding="utf-8").splitlines() if "watch" in line]
     assert len(lines) == len(policies) == 3

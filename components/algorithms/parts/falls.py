@@ -27,7 +27,7 @@ def healthy_ranges(data: LaneData) -> Ranges | None:
     limits[0], limits[1] = -torch.inf, torch.inf
     for lane, dataset in enumerate(data.datasets):
         card = dataset.card
-        for name, ends in card.machine.get("healthy", {}).items():
+        for name, ends in card.dynamics.get("healthy", {}).items():
             if name not in card.frame_features:
                 raise ValueError(
                     f"The card of {card.name} has a healthy range of {name!r}, which is no feature "

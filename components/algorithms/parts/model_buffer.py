@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from components.data.batches import Batch, LaneData
+from components.data.frame_table import FrameTable
 
 __all__ = ["ModelBuffer"]
 
@@ -80,14 +81,13 @@ class ModelBuffer(nn.Module):
         step = step % (ended + 1)  # at most T - 1, and so itself, where nothing has ended
         recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
         whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
-        # One frame more than a history, for the next observation's newest one.
         width, seen = self._data.frame_width, self._data.observation_width
-        rows, span = whole.numel() // width, seen + width
-        windows = whole.as_strided((rows - span // width + 1, span), (width, 1))
+        width, seen = self._data.frame_width, self._data.observation_width
         count = whole.shape[-1] // width  # frames of a transition's row in ``whole``
         newest = count * torch.arange(index.numel(), device=index.device).view(index.shape)
         newest = newest + (self._length - 1 - step)
-        window = windows.index_select(0, newest.flatten()).view(*index.shape, span)
+        # One frame more than a history, for the next observation's newest one.
+        window = FrameTable(whole.view(-1, width)).windows(newest, self._data.history + 1)
         rewards = self.rewards[lane, place, step]
         return Batch(
             observations=window[:, :, width:],

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from components.algorithms.parts.halting import Halted, Trajectories, with_halt
 from components.data.batches import LaneData
-from components.models.transition.model_environment import ModelEnvironment, Prediction
+from components.models.transition.interface import Prediction
+from components.models.transition.model_environment import ModelEnvironment
 
 __all__ = [
     "Detector",
@@ -80,9 +81,8 @@ class Detector(nn.Module):
         found = torch.empty(data.lanes, len(longest), device=data.device)
         for rows in longest.split(max(1, CHUNK // data.lanes)):
             index = torch.minimum(rows, last)  # shorter logs repeat their last row, cut off below
-            history, recorded = data.recorded(index, environment.model.memory)
-            act = partial(_acting, data.actions(index))
-            [step] = environment.unroll(history, act, 1, recorded=recorded)
+            past = data.start_states(index, environment.model.memory)
+            [step] = environment.unroll(*past, partial(_acting, data.actions(index)), 1)
             found[:, rows] = self(step.prediction)
         return [doubts[:count] for doubts, count in zip(found, data.counts, strict=True)]
 
@@ -123,22 +123,18 @@ class PessimisticMDP:
     def roll_out(
         self,
         begin: Tensor,
-        history: Tensor,
-        recorded: Tensor,
+        past: Tensor,
         act: Callable[[Tensor], Tensor],
     ) -> tuple[Trajectories, Halted]:
         """Let policies act for T steps; halted trajectories go on, but do not count any more.
 
         Args:
             begin: ``[L, B, H * F]`` observations at the start.
-            history: ``[L, B, H, F]`` the same as raw frames.
-            recorded: ``[L, B, G, M]`` the same as raw model frames.
+            past: ``[L, B, G, M]`` model frames up to there, as logged.
             act: As in :meth:`ModelEnvironment.unroll`.
         """
         frames, rewards, doubts = [], [], []
-        for step in self._environment.unroll(
-            history, act, len(self._followed), self._followed, recorded=recorded
-        ):
+        for step in self._environment.unroll(begin, past, act, len(self._followed), self._followed):
             frames.append(step.frames)
             rewards.append(step.rewards)
             doubts.append(self._detector(step.prediction))

@@ -45,6 +45,6 @@ class VirtualReturns:
 
     def of(self, start: Tensor, act: Callable[[Tensor], Tensor]) -> Tensor:
         """Scaled discounted returns ``[L, B]`` from the logged states ``start [L, B]`` on."""
-        history, recorded = self._data.recorded(start, self._environment.model.memory)
-        steps = self._environment.unroll(history, act, self._horizon, recorded=recorded)
+        past = self._data.start_states(start, self._environment.model.memory)
+        steps = self._environment.unroll(*past, act, self._horizon)
         return discounted_sum([step.rewards for step in steps], self._discount) / self.scale

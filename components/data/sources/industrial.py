@@ -1,4 +1,4 @@
-"""The sixteen Industrial Benchmark datasets.
+"""Industrial Benchmark datasets: what they are made of and how they are made.
 
 Source: thesis section 3.1.1. Three controllers, five amounts of exploration each, and one dataset
 of exploration alone, which is the same for all three and is called mediocre-1.0 here (global-1.0
@@ -7,9 +7,8 @@ by its authors). Names are those of the thesis's tables.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Final
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.frame_history import HISTORY_LENGTH
 from components.environments.industrial.benchmark import DYNAMICS, FRAME_FEATURES, STEERINGS
 
-__all__ = ["INDUSTRIAL_DATASETS", "IndustrialSpec", "dataset_from_log"]
+__all__ = ["IndustrialSpec", "dataset_from_log"]
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,11 @@ class IndustrialSpec:
             raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
 
     @property
+    def identity(self) -> Mapping[str, Any]:
+        """All its fields."""
+        return asdict(self)
+
+    @property
     def environment(self) -> str:
         """Gymnasium id of the system."""
         return INDUSTRIAL_BENCHMARK_ID
@@ -98,17 +102,6 @@ class IndustrialSpec:
             exploration=exploration,
         )
         return dataset_from_log(log, self, seed)
-
-
-def _catalogue() -> dict[str, IndustrialSpec]:
-    pairs = [(controller, tenths) for controller in CONTROLLERS for tenths in (0, 2, 4, 6, 8)]
-    pairs.insert(pairs.index(("mediocre", 8)) + 1, ("mediocre", 10))
-    specs = [IndustrialSpec(f"{c}-{tenths / 10}", c, tenths / 10) for c, tenths in pairs]
-    return {spec.name: spec for spec in specs}
-
-
-INDUSTRIAL_DATASETS: Final[Mapping[str, IndustrialSpec]] = MappingProxyType(_catalogue())
-"""The sixteen datasets in the order bad, mediocre, optimized, each by growing epsilon."""
 
 
 def _generators(name: str, seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -144,5 +137,5 @@ def dataset_from_log(log: Log, spec: IndustrialSpec, seed: int) -> OfflineDatase
         history=spec.history,
         frame_features=FRAME_FEATURES,
         action_features=STEERINGS,
-        machine=DYNAMICS,
+        dynamics=DYNAMICS,
     )

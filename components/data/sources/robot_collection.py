@@ -81,14 +81,12 @@ class Episode:
 class _Stage:
     """N copies, each of which lives the episode of some number, or none."""
 
-    def __init__(self, machine: Robots, exploration: Exploration, horizon: int, key: int) -> None:
-        self._machine, self._exploration = machine, exploration
+    def __init__(self, robots: Robots, exploration: Exploration, horizon: int, key: int) -> None:
+        self._robots, self._exploration = robots, exploration
         self._horizon, self._key = horizon, key
-        copies, width = machine.copies, len(machine.action_features)
+        copies, width = robots.copies, len(robots.action_features)
         shape = (copies, horizon, width)
-        self._frames = np.empty(
-            (copies, horizon + 1, len(machine.frame_features)), dtype=np.float32
-        )
+        self._frames = np.empty((copies, horizon + 1, len(robots.frame_features)), dtype=np.float32)
         self._actions = np.empty(shape, dtype=np.float32)
         self._rewards = np.empty((copies, horizon), dtype=np.float32)
         self._uniform, self._noise = np.zeros(shape), np.zeros(shape)
@@ -96,7 +94,7 @@ class _Stage:
         self._number = np.full(copies, -1)  # of the episode; -1 for none
         self._elapsed = np.zeros(copies, dtype=np.int64)
         self._starts = [lane_generator(key)] * copies  # of each copy's episode
-        self._current = machine.reset(self._starts)  # undone by the episodes' own starts
+        self._current = robots.reset(self._starts)  # undone by the episodes' own starts
         self._begun = 0
         self.lived = 0  # steps of all begun episodes so far
 
@@ -119,7 +117,7 @@ class _Stage:
             self._uniform[copy], self._noise[copy] = planned
         self._elapsed[free] = 0
         mask = np.isin(self._copies, free)
-        self._current[free] = self._machine.reset_copies(mask, self._starts)
+        self._current[free] = self._robots.reset_copies(mask, self._starts)
         self._frames[free, 0] = self._current[free]
 
     def step(self, expert: Callable[[Array], Array]) -> dict[int, Episode]:
@@ -130,12 +128,12 @@ class _Stage:
         uniform, noise = self._uniform[living, at], self._noise[living, at]
         noisy = np.clip(expert(self._current[living]) + noise, -1.0, 1.0)
         taken[living] = np.where(np.isnan(uniform), noisy, uniform)
-        self._current, rewards = self._machine.step(taken.astype(np.float64))
+        self._current, rewards = self._robots.step(taken.astype(np.float64))
         self._actions[living, at], self._rewards[living, at] = taken[living], rewards[living]
         self._frames[living, at + 1] = self._current[living]
         self._elapsed[living] += 1
         self.lived += len(living)
-        fallen = self._machine.terminated
+        fallen = self._robots.terminated
         ended = living[fallen[living] | (self._elapsed[living] == self._horizon)]
         finished = {int(self._number[copy]): self._episode(copy, fallen[copy]) for copy in ended}
         self._number[ended] = -1
@@ -153,7 +151,7 @@ class _Stage:
 
 def collect_episodes(
     expert: Callable[[Array], Array],
-    machine: Robots,
+    robots: Robots,
     exploration: Exploration,
     *,
     horizon: int,
@@ -164,13 +162,13 @@ def collect_episodes(
 
     Args:
         expert: maps frames `[N, F]` to actions `[N, A]`.
-        machine: copies of the robot.
+        robots: copies of the robot.
         exploration: how the log leaves the expert's path.
         horizon: steps after which an episode's time is up.
         transitions: steps in all.
         key: random stream.
     """
-    stage = _Stage(machine, exploration, horizon, key)
+    stage = _Stage(robots, exploration, horizon, key)
     finished: dict[int, Episode] = {}
     stage.fill()
     while stage.busy:

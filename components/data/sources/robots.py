@@ -1,4 +1,4 @@
-"""The three robot datasets: what they are made of and how they are made.
+"""Robot datasets: what they are made of and how they are made.
 
 Source: thesis section 3.1.2 and the "imperfect demonstrations" of Fujimoto et al., "Off-Policy Deep
 Reinforcement Learning without Exploration" (2019): an expert trained online by DDPG acts with
@@ -8,10 +8,8 @@ steps for this task; the thesis says 1,000,000, which are taken.
 Episodes end with a fall, which is terminal, or when their time is up, which is not.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -22,33 +20,12 @@ from components.data.assembly import assemble
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.data.dataset import OfflineDataset
 from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
-from components.environments import HOPPER_ID, SWIMMER_ID, WALKER2D_ID
 from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import (
-    HOPPER,
-    PHYSICS,
-    SWIMMER,
-    WALKER2D,
-    Robot,
-    simulator_version,
-)
+from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
 
-__all__ = ["ROBOTS", "ROBOT_DATASETS", "RobotSpec", "dynamics_section", "make_robots"]
+__all__ = ["RobotSpec"]
 
-ROBOTS: Final[Mapping[str, str]] = MappingProxyType(
-    {"swimmer": SWIMMER_ID, "hopper": HOPPER_ID, "walker2d": WALKER2D_ID}
-)
-"""Gymnasium ids of the robots."""
-
-_KINDS: Final[Mapping[str, Robot]] = MappingProxyType(
-    {"swimmer": SWIMMER, "hopper": HOPPER, "walker2d": WALKER2D}
-)
 _COPIES: Final = 100  # stepped together; the log does not depend on their number
-
-
-def make_robots(robot: str, copies: int, physics: str, threads: int = 1) -> Robots:
-    """Copies of one of `ROBOTS`, each of which can be started by a generator of its own."""
-    return Robots(_KINDS[robot], copies, physics, threads)
 
 
 @dataclass(frozen=True)
@@ -57,7 +34,7 @@ class RobotSpec:
 
     Attributes:
         name: part of the random stream's identity.
-        robot: one of `ROBOTS`.
+        robot: one of `ROBOTS`, whose expert ships.
         epsilon: chance per step of a whole uniform action, 0 ... 1.
         noise: deviation of the Gaussian noise on the expert's own actions.
         transitions: steps in all.
@@ -98,9 +75,14 @@ class RobotSpec:
             raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
 
     @property
+    def identity(self) -> Mapping[str, Any]:
+        """All its fields."""
+        return asdict(self)
+
+    @property
     def environment(self) -> str:
         """Gymnasium id of the system."""
-        return ROBOTS[self.robot]
+        return ROBOTS[self.robot].id
 
     @property
     def environment_parameters(self) -> Mapping[str, Any]:
@@ -130,70 +112,28 @@ class RobotSpec:
             ValueError: the expert is damaged or knows another robot.
         """
         expert = self._expert()
-        machine = make_robots(self.robot, _COPIES, self.physics, threads)
-        if expert.policy.card.features != tuple(machine.frame_features):
+        robots = Robots(ROBOTS[self.robot], _COPIES, self.physics, threads)
+        if expert.policy.card.features != tuple(robots.frame_features):
             raise ValueError(
                 f"the expert of {expert.card.robot} does not know the frames of "
                 f"{self.environment}; train one with `python -m flows.train_experts`."
             )
         episodes = collect_episodes(
             expert.act,
-            machine,
+            robots,
             Exploration(self.epsilon, self.noise),
             horizon=self.steps,
             transitions=self.transitions,
             key=lane_key("robot dataset", self.name, seed),
         )
-        return _assemble(self, seed, expert, machine, episodes)
+        return _assemble(self, seed, expert, robots, episodes)
 
     def _expert(self) -> Expert:
         return Expert.load(SHIPPED / self.robot)
 
 
-ROBOT_DATASETS: Final[Mapping[str, RobotSpec]] = MappingProxyType(
-    {robot: RobotSpec(robot, robot) for robot in ROBOTS}
-)
-"""The three datasets, named like their robots."""
-
-
-def dynamics_section(robot: Robot) -> dict[str, Any]:
-    """What is known of a robot without learning: that it is told its action, and nothing else.
-
-    Returns:
-        `known`: features that follow from the action, as clip(keep * old + scale * action, low,
-        high); `learned`: those to be predicted; `reward`: weights of learned ones in the reward;
-        of robots that can fall also `healthy`: the ranges of frame features, bounds excluded,
-        within which they stand (None: no bound). Learners look at these only where their authors
-        do, which is MOPO alone.
-    """
-    actions, frame = robot.action_features, robot.frame_features
-    section = {
-        "known": {
-            "features": list(actions),
-            "keep": [0.0] * len(actions),
-            "scale": [1.0] * len(actions),
-            "low": -1.0,
-            "high": 1.0,
-        },
-        "learned": [*frame, "reward"],
-        "reward": {"reward": 1.0},
-    }
-    if robot.health is None:
-        return section
-    height, angle, *others = frame  # what stands upright shows these first
-    state = robot.health.state
-    limits = {height: robot.health.height, angle: (-robot.health.angle, robot.health.angle)}
-    limits |= dict.fromkeys(others, (-state, state))
-    healthy = {
-        name: [end if math.isfinite(end) else None for end in ends]
-        for name, ends in limits.items()
-        if any(map(math.isfinite, ends))
-    }
-    return section | {"healthy": healthy}
-
-
 def _assemble(
-    spec: RobotSpec, seed: int, expert: Expert, machine: Robots, episodes: Sequence[Episode]
+    spec: RobotSpec, seed: int, expert: Expert, robots: Robots, episodes: Sequence[Episode]
 ) -> OfflineDataset:
     """Lay episodes of different lengths one after the other and write their card."""
     lengths = [episode.steps for episode in episodes]
@@ -221,8 +161,8 @@ def _assemble(
         noise=spec.noise,
         seed=seed,
         history=spec.history,
-        frame_features=tuple(machine.frame_features),
-        action_features=tuple(machine.action_features),
-        machine=dynamics_section(_KINDS[spec.robot]),
+        frame_features=tuple(robots.frame_features),
+        action_features=tuple(robots.action_features),
+        dynamics=ROBOTS[spec.robot].dynamics,
         simulator=simulator_version(),
     )

@@ -2,26 +2,21 @@
 
 They serve where one robot is looked at: rendering, Minari's specification of a dataset's
 environment, and as the oracle of `Robots`. Like Gymnasium's own they do not clip actions.
+
+Every robot of :data:`.specifications.ROBOTS` has its class here, e.g. `HopperRobot`.
 """
 
+from functools import cache
 from typing import Any, ClassVar
 
 import mujoco
-from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
-from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
-from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle
 
-from components.environments.mujoco.specifications import (
-    HOPPER,
-    SWIMMER,
-    WALKER2D,
-    Robot,
-    load_model,
-)
+from components.environments.mujoco.specifications import ROBOTS, Robot, load_model
 
-__all__ = ["HopperRobot", "SwimmerRobot", "Walker2dRobot"]
+__all__ = ["robot_class"]
 
 
 class _WithPhysics(MujocoEnv, EzPickle):
@@ -64,19 +59,19 @@ class _Legged(_WithPhysics):
         return earned * self._healthy_reward
 
 
-class SwimmerRobot(_WithPhysics, SwimmerEnv):
-    """One Swimmer."""
-
-    robot = SWIMMER
-
-
-class HopperRobot(_Legged, HopperEnv):
-    """One Hopper."""
-
-    robot = HOPPER
+@cache
+def robot_class(name: str) -> type[MujocoEnv]:
+    """The class of a robot by its short name; it pickles by its own name in this module."""
+    robot = ROBOTS[name]
+    kind: type = _WithPhysics if robot.health is None else _Legged
+    theirs: Any = load_env_creator(robot.gymnasium_class)
+    own = {"robot": robot, "__module__": __name__, "__doc__": f"One {robot.title}."}
+    return type(robot.class_name, (kind, theirs), own)
 
 
-class Walker2dRobot(_Legged, Walker2dEnv):
-    """One Walker2D."""
-
-    robot = WALKER2D
+def __getattr__(name: str) -> type[MujocoEnv]:
+    """Classes by name, as Gymnasium's registry, pickle and Minari ask for them."""
+    for robot in ROBOTS.values():
+        if name == robot.class_name:
+            return robot_class(robot.name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

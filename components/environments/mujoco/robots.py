@@ -1,7 +1,7 @@
 """The MuJoCo robots Swimmer, Hopper and Walker2D, N independent copies at once.
 
 Observations, rewards and falls are those of Gymnasium's v5 classes, or of the third version that
-the thesis used (`robot_specs.py`), computed for all copies together; the reward is
+the thesis used (`specifications.py`), computed for all copies together; the reward is
 forward speed + healthy reward - control cost (thesis section 3.2, which prints the forward speed
 with the sign reversed).
 
@@ -23,8 +23,6 @@ from components.environments.mujoco.specifications import Robot, load_model
 __all__ = ["Robots"]
 
 Array = NDArray[np.float64]
-
-_SUBSTEPS = 4
 
 
 class Robots:
@@ -55,7 +53,7 @@ class Robots:
         self._robot = robot
         self._pays_for_fall = physics == "v3"
         self._model = load_model(robot, physics)
-        self._seconds = float(self._model.opt.timestep) * _SUBSTEPS
+        self._seconds = float(self._model.opt.timestep) * robot.substeps
         self._simulations = simulate(self._model, copies, threads)
         self._started = False
 
@@ -148,7 +146,7 @@ class Robots:
         """Simulate the copies that stand, note who falls, and return their rewards `[M]`."""
         robot, simulations = self._robot, self._simulations
         before = simulations.positions[ids, 0]
-        simulations.advance(ids, torques, _SUBSTEPS)
+        simulations.advance(ids, torques, robot.substeps)
         positions, velocities = simulations.positions[ids], simulations.velocities[ids]
         failed = simulations.failed[ids]
         standing = np.ones(ids.size, dtype=np.bool_)

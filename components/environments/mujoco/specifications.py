@@ -16,16 +16,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mujoco
 
 __all__ = [
     "HOPPER",
     "PHYSICS",
+    "ROBOTS",
     "SWIMMER",
     "WALKER2D",
     "Health",
@@ -68,9 +71,11 @@ class Health:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """One kind of robot. A step of control is four steps of the simulator.
+    """One kind of robot.
 
     Attributes:
+        title: its name as Gymnasium writes it, e.g. "Hopper".
+        gymnasium_class: Gymnasium's own class of a single one, "package.module:Class".
         models: MuJoCo model file of each physics, from Gymnasium.
         frame_features: names of the observed values (thesis tables 3.1, 3.3 and 3.5).
         action_features: names of the torques, each in [-1, 1] (tables 3.2, 3.4 and 3.6).
@@ -80,8 +85,11 @@ class Robot:
         healthy_reward: earned per step while standing.
         health: when it stands; None for a robot that cannot fall.
         reset_noise: half width of the uniform noise on a start's positions and velocities.
+        substeps: steps of the simulator in a step of control.
     """
 
+    title: str
+    gymnasium_class: str
     models: Mapping[str, str]
     frame_features: tuple[str, ...]
     action_features: tuple[str, ...]
@@ -91,6 +99,58 @@ class Robot:
     healthy_reward: float = 1.0
     health: Health | None
     reset_noise: float = 5e-3
+    substeps: int = 4
+
+    @property
+    def name(self) -> str:
+        """Short name, that of its dataset and of its expert's folder."""
+        return self.title.lower()
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id of the system."""
+        return f"proximity/{self.title}-v0"
+
+    @property
+    def class_name(self) -> str:
+        """Of a single one in :mod:`.gymnasium_api`."""
+        return f"{self.title}Robot"
+
+    @property
+    def dynamics(self) -> dict[str, Any]:
+        """What is known of it without learning: that it is told its action, and nothing else.
+
+        Returns:
+            `known`: features that follow from the action, as clip(keep * old + scale * action, low,
+            high); `learned`: those to be predicted; `reward`: weights of learned ones in the
+            reward; of robots that can fall also `healthy`: the ranges of frame features, bounds
+            excluded, within which they stand (None: no bound). Learners look at these only where
+            their authors do, which is MOPO alone.
+        """
+        actions, frame = self.action_features, self.frame_features
+        section = {
+            "known": {
+                "features": list(actions),
+                "keep": [0.0] * len(actions),
+                "scale": [1.0] * len(actions),
+                "low": -1.0,
+                "high": 1.0,
+            },
+            "learned": [*frame, "reward"],
+            "reward": {"reward": 1.0},
+        }
+        if self.health is None:
+            return section
+        height, angle, *others = frame  # what stands upright shows these first
+        state = self.health.state
+        limits = {height: self.health.height, angle: (-self.health.angle, self.health.angle)}
+        limits |= dict.fromkeys(others, (-state, state))
+        healthy = {
+            name: [end if math.isfinite(end) else None for end in ends]
+            for name, ends in limits.items()
+            if any(map(math.isfinite, ends))
+        }
+        return section | {"healthy": healthy}
 
 
 def _models(v3: str, v5: str) -> Mapping[str, str]:
@@ -109,6 +169,8 @@ def _standing_features(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 SWIMMER: Final = Robot(
+    title="Swimmer",
+    gymnasium_class="gymnasium.envs.mujoco.swimmer_v5:SwimmerEnv",
     models=_models("swimmer.xml", "swimmer.xml"),
     frame_features=(
         "front_tip_angle",
@@ -131,6 +193,8 @@ SWIMMER: Final = Robot(
 """Three segments in a viscous plane; swims along the x-axis and cannot fall."""
 
 HOPPER: Final = Robot(
+    title="Hopper",
+    gymnasium_class="gymnasium.envs.mujoco.hopper_v5:HopperEnv",
     models=_models("hopper.xml", "hopper.xml"),
     frame_features=_standing_features(_LEG),
     action_features=tuple(f"{part}_torque" for part in _LEG),
@@ -139,6 +203,8 @@ HOPPER: Final = Robot(
 """One leg; hops along the x-axis."""
 
 WALKER2D: Final = Robot(
+    title="Walker2d",
+    gymnasium_class="gymnasium.envs.mujoco.walker2d_v5:Walker2dEnv",
     models=_models("walker2d.xml", "walker2d_v5.xml"),
     frame_features=_standing_features(_LEGS),
     action_features=tuple(f"{part}_torque" for part in _LEGS),
@@ -146,8 +212,13 @@ WALKER2D: Final = Robot(
 )
 """Two legs; walks along the x-axis."""
 
+ROBOTS: Final[Mapping[str, Robot]] = MappingProxyType(
+    {robot.name: robot for robot in (SWIMMER, HOPPER, WALKER2D)}
+)
+"""All robots by short name; whatever else knows robots by name reads them here."""
 
-def load_model(robot: Robot, physics: str) -> mujoco.MjModel:
+
+def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
     """Compile a robot's MuJoCo model.
 
     Raises:
@@ -155,6 +226,8 @@ def load_model(robot: Robot, physics: str) -> mujoco.MjModel:
     """
     if physics not in PHYSICS:
         raise ValueError(f"physics {physics!r} does not exist; choose {' or '.join(PHYSICS)}.")
+    import mujoco  # slow, and not needed by whoever only reads what is written here
+
     spec = mujoco.MjSpec.from_file(str(_ASSETS / robot.models[physics]))
     if physics == "v3":
         for geom in spec.geoms:
@@ -164,4 +237,6 @@ def load_model(robot: Robot, physics: str) -> mujoco.MjModel:
 
 def simulator_version() -> str:
     """Name and version of the simulator, for the cards of what was made with it."""
+    import mujoco
+
     return f"mujoco {mujoco.__version__}"

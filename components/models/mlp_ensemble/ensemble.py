@@ -1,7 +1,7 @@
-"""Ensembles of multilayer perceptrons that predict one step of a partly observed machine.
+"""Ensembles of multilayer perceptrons that predict one step of a partly observed system.
 
 K members read the last frames that policies see, newest first, and the known features of the next
-machine frame, which follow from the action exactly; they predict its learned features, as values
+model frame, which follow from the action exactly; they predict its learned features, as values
 or, where policies see them, as changes. Outputs are standardised: in units of ``target_scale``
 around ``target_mean``, both in normalised feature units. Gaussian members predict a log variance
 for every target as well, kept inside learned bounds by softplus from both sides (Chua et al. 2018,
@@ -25,7 +25,7 @@ from torch.nn.functional import silu, softplus
 from components.core.normaliser import Normaliser
 from components.core.tensors import load_tensors, save_tensors
 from components.models.rescaling import read_in_scaling
-from components.models.transition.model_environment import Prediction
+from components.models.transition.interface import Prediction
 from components.networks.stacked import Activation
 
 __all__ = ["ACTIVATIONS", "MLPEnsemble", "MLPTransition", "bounded_log_variance"]
@@ -42,9 +42,9 @@ class MLPEnsemble:
 
     Attributes:
         layers: Weights ``[K, in, out]`` and biases ``[K, 1, out]``. Inputs are H frames, newest
-            first, then the next machine frame's known features, all normalised; outputs are D
+            first, then the next model frame's known features, all normalised; outputs are D
             standardised targets, for Gaussian members D log variances after them.
-        frames: Scaling of a machine frame's features ``[M]``; the last D are the learned ones.
+        frames: Scaling of a model frame's features ``[M]``; the last D are the learned ones.
         observed: Where the features that policies see begin among these, and where they end.
         low: ``[D]`` smallest normalised targets of the training data.
         high: ``[D]`` largest.
@@ -193,7 +193,7 @@ class MLPTransition:
         by_member = weight.view(len(ensembles), self.members, *weight.shape[1:])
         self._side_by_side = by_member.transpose(1, 2).flatten(2)
 
-    def begin(self, recorded: Tensor) -> None:
+    def begin(self, past: Tensor) -> None:
         """Nothing is remembered between steps but the frames."""
 
     def predict(

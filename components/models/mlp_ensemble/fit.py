@@ -1,6 +1,6 @@
 """Training of the one-step ensembles, all members and target forms as lanes of one stack.
 
-From a transition's last frames and the known features of the next machine frame, which follow from
+From a transition's last frames and the known features of the next model frame, which follow from
 the action exactly, a member predicts the learned ones. What policies do not see of them, a robot's
 reward, is a value in either form. Every true terminal adds a transition from the terminal state to
 itself, by which the end is learned (:mod:`components.data.absorbing_states`). Where the target
@@ -188,7 +188,7 @@ def fit_mlp_ensemble(
     """Train all members at once.
 
     Args:
-        dataset: Its card must tell what is known and what is to be learned of its machine.
+        dataset: Its card must tell what is known and what is to be learned of its system.
         config: Architecture and schedule; its class is the kind of ensemble.
         key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.

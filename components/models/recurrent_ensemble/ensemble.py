@@ -1,6 +1,6 @@
 """Recurrent transition ensemble for partly observed machines (thesis 3.3.2, 6.2).
 
-The known features of the next machine frame follow from the action exactly, so the networks see the
+The known features of the next model frame follow from the action exactly, so the networks see the
 frame *after* the action: its known features, normalised, and previous values of what they predict.
 What they predict are the learned features: K members, each either one network per feature or a
 single one for all of them. A *group* is the K networks of equal task.
@@ -121,7 +121,7 @@ class RecurrentEnsemble:
         weight: ``[M, H, H + known + D' + 1]``: columns hidden state, known features, own previous
             values, bias.
         readout: ``[M, O, H + 1]``, O learned features of a group.
-        frames: Scaling of a machine frame's features.
+        frames: Scaling of a model frame's features.
         low: ``[D]`` smallest normalised learned features seen in training data.
         high: ``[D]`` largest.
         feedback: What is read back.

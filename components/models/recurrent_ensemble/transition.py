@@ -11,7 +11,7 @@ from torch import Tensor
 
 from components.core.normaliser import Normaliser
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
-from components.models.transition.model_environment import Prediction
+from components.models.transition.interface import Prediction
 from components.networks.recurrent import logistic_cells, unroll_cells
 
 __all__ = ["RecurrentTransition"]
@@ -57,12 +57,12 @@ class RecurrentTransition:
         return by_group[..., : self._looped, :]
 
     @torch.no_grad()
-    def begin(self, recorded: Tensor) -> Tensor:
-        """Logistic states ``[L * M, H, B]`` after the recorded frames ``[L, S, B, T, F]``."""
-        lanes, _, batch, length, features = recorded.shape
+    def begin(self, past: Tensor) -> Tensor:
+        """Logistic states ``[L * M, H, B]`` after the model frames ``[L, S, B, T, F]``."""
+        lanes, _, batch, length, features = past.shape
         known = features - self.low.shape[1]
         mean, scale = (s[:, None, None, None] for s in (self.frames.mean, self.frames.scale))
-        oldest_first = ((recorded - mean) / scale).flip(3).permute(3, 0, 4, 1, 2)  # [T, L, F, S, B]
+        oldest_first = ((past - mean) / scale).flip(3).permute(3, 0, 4, 1, 2)  # [T, L, F, S, B]
         posterior = oldest_first[1:, :, None, :known].transpose(3, 4)
         own = self._own(oldest_first[:-1, :, known:])
         shape = (length - 1, lanes, *self._shape[:2])
@@ -73,7 +73,7 @@ class RecurrentTransition:
             ],
             dim=4,
         )
-        start = recorded.new_zeros(self._weight.shape[0], self._weight.shape[1], batch)
+        start = past.new_zeros(self._weight.shape[0], self._weight.shape[1], batch)
         _, hidden = unroll_cells(self._weight, self._readout, start, inputs.flatten(1, 3))
         return (hidden + 1.0) / 2.0
 

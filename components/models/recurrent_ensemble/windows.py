@@ -1,4 +1,4 @@
-"""Windows of machine frames, from which the recurrent transition ensemble learns.
+"""Windows of model frames, from which the recurrent transition ensemble learns.
 
 A window holds G + F steps and never crosses trajectories. One that ends in a true terminal state
 goes on in it (:mod:`components.data.absorbing_states`), so that falling is learned from states and
@@ -26,21 +26,21 @@ __all__ = ["TrainingWindows"]
 
 
 class TrainingWindows:
-    """Windows of normalised machine frames, gathered on the device for every network.
+    """Windows of normalised model frames, gathered on the device for every network.
 
     Args:
-        dataset: Its card must tell what is known and what is to be learned of its machine.
+        dataset: Its card must tell what is known and what is to be learned of its system.
         config: Members, groups, lengths of a window and share held out.
         device: Where windows are gathered.
 
     Attributes:
         names: Learned features, D of them.
-        known: Known features of a machine frame, so many.
+        known: Known features of a model frame, so many.
         groups: Names of the groups; a group's networks predict the same features.
         networks: M, networks of all groups.
         outputs: O, features that a network predicts.
         feedback: Which predictions of a group are read back, and which are changes.
-        normaliser: Scaling of machine frames, of the training trajectories.
+        normaliser: Scaling of model frames, of the training trajectories.
         low: Smallest normalised targets of the training trajectories, ``[D]``.
         high: Largest.
         train: Rows in which windows of the training trajectories begin.

@@ -1,7 +1,7 @@
 """Unroll policies through a learned ensemble: the one place where virtual trajectories are made.
 
 Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
-policy acts, the known features of the machine's frame follow exactly (differentiably), every member
+policy acts, the known features of the model frame follow exactly (differentiably), every member
 predicts the learned ones, and one prediction becomes the next frame, clipped to the range of the
 training data unless told otherwise; policies see of it what the log's frames hold, see
 :mod:`components.data.dynamics`. Which one is the propagation:
@@ -15,81 +15,26 @@ training data unless told otherwise; policies see of it what the log's frames ho
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from components.core.normaliser import Normaliser
 from components.data.dynamics import DynamicsSpecification
+from components.models.transition.interface import Prediction, TransitionModel
 
 __all__ = [
     "ModelEnvironment",
-    "Prediction",
     "PredictionRange",
     "Propagation",
     "RolloutStep",
-    "TransitionModel",
     "discounted_sum",
 ]
 
 Act = Callable[[Tensor], Tensor]
 Propagation = Literal["minimum", "isolated"] | Tensor
 PredictionRange = Literal["data", "free"]
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What all members say about the next frame.
-
-    Attributes:
-        values: ``[L, D, K, B]`` normalised targets, not clipped.
-        spread: ``[L, D, K, B]`` predicted standard deviations in units of a standardised target;
-            None for deterministic members.
-    """
-
-    values: Tensor
-    spread: Tensor | None = None
-
-
-class TransitionModel(Protocol):
-    """Ensembles of L lanes, K members each.
-
-    Attributes:
-        members: K.
-        memory: G, recorded machine frames to begin with.
-        frames: Scaling of a machine frame's features, ``[L, M]``.
-        low: Smallest normalised targets of the training data, ``[L, D]``.
-        high: Largest.
-        target_scale: One standardised target in normalised units, ``[L, D]``: 1 where values are
-            predicted, the deviation of the changes where changes are.
-    """
-
-    members: int
-    memory: int
-    frames: Normaliser
-    low: Tensor
-    high: Tensor
-    target_scale: Tensor
-
-    def begin(self, recorded: Tensor) -> Any:
-        """State after raw machine frames ``[L, S, B, G, M]``, newest first; S is 1 or K."""
-
-    def predict(
-        self, state: Any, observation: Tensor, known: Tensor, own: Tensor
-    ) -> tuple[Prediction, Any]:
-        """Advance all members by a step.
-
-        Args:
-            state: Of :meth:`begin` or the step before.
-            observation: ``[L, S, B, H * F]`` frames before the action, newest first, in the scaling
-                the policies see.
-            known: ``[L, S, B, M - D]`` normalised known features after the action.
-            own: ``[L, D, S, B]`` normalised targets before the action.
-
-        Returns:
-            Member k's prediction for its own copy, or for the only one; the next state.
-        """
 
 
 @dataclass(frozen=True)
@@ -115,11 +60,11 @@ class RolloutStep:
 
 
 class ModelEnvironment:
-    """The learned machine of L lanes.
+    """The model environments of L lanes.
 
     Args:
         model: The lanes' ensembles.
-        rule: How actions move the machine, and what its reward is.
+        rule: How known features follow from actions, and what the reward is.
         scaling: Scaling of the frames that policies see, ``[L, F]``.
         device: Where to compute.
         prediction_range: ``data`` clips predictions to the range of the training data, ``free``
@@ -160,13 +105,13 @@ class ModelEnvironment:
 
     def unroll(
         self,
-        history: Tensor,
+        observations: Tensor,
+        past: Tensor,
         act: Act,
         horizon: int,
         propagation: Propagation = "minimum",
         noise: Tensor | None = None,
         state: Any = None,
-        recorded: Tensor | None = None,
     ) -> Iterator[RolloutStep]:
         """Let a policy act for ``horizon`` steps, one after the other.
 
@@ -175,7 +120,10 @@ class ModelEnvironment:
         and its histories are windows of that.
 
         Args:
-            history: ``[L, B, H, F]`` raw frames that policies see, newest first.
+            observations: ``[L, B, H * F]`` what policies see at the start, scaled, newest frame
+                first; see :meth:`components.data.batches.LaneData.start_states`.
+            past: ``[L, B, G, M]`` model frames up to there, newest first, not scaled; the newest
+                is enough beside a state.
             act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
                 ``[L, N, A]``; called once a step.
             horizon: Steps T.
@@ -183,21 +131,16 @@ class ModelEnvironment:
             noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
                 Gaussian instead of taking its mean.
             state: What the model's ``begin`` returned for this past, if that is known.
-            recorded: ``[L, B, G, M]`` raw machine frames, newest first, see
-                :meth:`components.data.batches.LaneData.recorded`; the newest is enough beside a
-                state. None where policies see whole machine frames: the histories.
 
         Yields:
             The T steps.
         """
         copies = self.model.members if propagation == "isolated" else 1
-        past = history if recorded is None else recorded
-        history, past = (h[:, None].expand(-1, copies, -1, -1, -1) for h in (history, past))
+        past = past[:, None].expand(-1, copies, -1, -1, -1)
+        observation = observations[:, None].expand(-1, copies, -1, -1)
         if state is None:
             state = self.model.begin(past)
-        mean, scale = (m[:, None, None, None] for m in (self._scaling.mean, self._scaling.scale))
-        observation = ((history - mean) / scale).flatten(start_dim=3)
-        width = history.shape[-1]
+        width = self._scaling.mean.shape[-1]
         table = None if torch.is_grad_enabled() else _with_room(observation, horizon * width)
         mean, scale = _wide(self._scaling.mean), _wide(self._scaling.scale)
         # Features come before trajectories, so that element-wise work runs over long rows.

@@ -118,16 +118,16 @@ def trajectory(
     return total, penalty
 
 
-def drawn_for(made: Learner, step: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Start rows, their raw histories and the latents' noise of an update."""
+def drawn_for(made: Learner, step: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Start rows, what is seen and known in them, and the latents' noise of an update."""
     drawn = {name: value.clone() for name, value in made._streams.at(step).items()}
     start = drawn["start"]
-    return start, made._data.denormalise_history(made._data.observations(start)), drawn["latent"]
+    return start, *made._data.start_states(start, 1), drawn["latent"]
 
 
 def gradient(made: Learner, step: int = 0) -> list[Tensor]:
     """Of the loss of an update, for every parameter of the stack of one part."""
-    _, history, latent = drawn_for(made, step)
+    _, *given = drawn_for(made, step)
     [part] = made._parts
-    loss, _ = made._loss(part, history, latent)
+    loss, _ = made._loss(part, *given)
     return list(torch.autograd.grad(loss.sum(), list(part.actor.parameters())))

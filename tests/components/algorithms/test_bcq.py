@@ -235,7 +235,7 @@ def test_it_chooses_the_better_of_the_logged_ways_and_goes_no_further() -> None:
     made = learner("bcq", [log], [0], learning_rate=3e-3, **sizes)
     run(made, 400)
     policy = made.policy(policy_card(log))
-    histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
+    histories = made._data.raw_histories(torch.arange(200)[None])
     noise = torch.randn(1, 200, 20, 6, generator=torch.Generator().manual_seed(0))
     acted = policy.act(histories, noise=noise)[0]
     # a clone would do neither, mean 0; three seeds measured 0.34 to 0.45, and at most 0.58

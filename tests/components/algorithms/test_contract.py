@@ -90,7 +90,7 @@ def test_deployed_policy_sees_what_the_learner_saw(name: str, log: OfflineDatase
     policy = made.policy(policy_card(log, takes_proximity=takes_proximity))
     index = torch.tensor([[0, 1, 7, 39, 40, 200]])
     observations = made._data.observations(index)
-    histories = made._data.denormalise_history(observations)
+    histories = made._data.raw_histories(index)
     noise = candidate_noise(policy, 6)
     proximity = torch.linspace(0, 1, 6)[None] if takes_proximity else None
     outside = policy.act(histories, proximity, noise)
@@ -173,7 +173,7 @@ def test_lanes_need_equal_shapes_and_dynamics() -> None:
     with pytest.raises(ValueError, match="equal frame, action and history widths"):
         LaneData([LOG, make_log(history=4)], CPU)
     other = make_log("other")
-    other.card.machine["known"]["high"] = 90.0
+    other.card.dynamics["known"]["high"] = 90.0
     with pytest.raises(ValueError, match="different dynamics; train them apart"):
         _ = LearnerInputs(LaneData([LOG, relabelled(other)], CPU), [1, 2]).dynamics
 

@@ -172,7 +172,7 @@ def test_nothing_holds_the_actor_near_the_log() -> None:
     log = relabelled(log, actions=actions, rewards=actions[:, 0].copy(), terminated=ends)
     made = learner("ddpg", [log], [0], learning_rate=3e-3, batch=64, hidden=(32,))
     metrics = run(made, 400)
-    histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
+    histories = made._data.raw_histories(torch.arange(200)[None])
     acted = made.policy(policy_card(log)).act(histories)[0]
     # measured 0.9996, and a share of 0.85
     assert acted[:, 0].mean() > 0.9

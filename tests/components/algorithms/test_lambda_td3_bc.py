@@ -138,7 +138,7 @@ def test_proximity_goes_from_imitation_to_the_greatest_value() -> None:
     made = learner("lambda_td3_bc", [log], [0], learning_rate=3e-3, batch=64, hidden=(32,))
     run(made, 1000)
     policy = made.policy(policy_card(log, takes_proximity=True))
-    histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
+    histories = made._data.raw_histories(torch.arange(200)[None])
     means = [
         policy.act(histories, torch.full((1, 200), proximity))[0].mean(dim=0)
         for proximity in (0.0, 1.0)

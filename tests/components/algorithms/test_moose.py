@@ -67,7 +67,7 @@ def test_an_update_by_plain_loops(
         penalty_discount=discount,
     )
     scattered(made, 0.3)
-    start, _, latent = drawn_for(made)
+    start, _, _, latent = drawn_for(made)
     batch = start.shape[1]
     before = [p.detach().clone() for p in made._actor.parameters()]
     expected: list[tuple[float, ...]] = []
@@ -101,8 +101,8 @@ def test_an_update_by_plain_loops(
 
 def test_every_member_goes_on_as_if_it_were_the_only_one() -> None:
     whole = moose_learner()
-    _, history, latent = drawn_for(whole)
-    returns, penalty, _ = whole._virtual(whole._parts[0], history, latent)
+    _, *past, latent = drawn_for(whole)
+    returns, penalty, _ = whole._virtual(whole._parts[0], *past, latent)
     assert returns.shape == penalty.shape == (1, MEMBERS, 4)
     ensemble = random_model("deterministic_ensemble", LOG)
     for k in range(MEMBERS):
@@ -112,7 +112,7 @@ def test_every_member_goes_on_as_if_it_were_the_only_one() -> None:
         )  # fmt: skip
         alone = moose_learner(models={"deterministic_ensemble": only})
         own = latent[:, :, 4 * k : 4 * (k + 1)]
-        found = alone._virtual(alone._parts[0], history, own)
+        found = alone._virtual(alone._parts[0], *past, own)
         # float32; other products of matrices
         torch.testing.assert_close(found[0][:, 0], returns[:, k], rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(found[1][:, 0], penalty[:, k], rtol=1e-4, atol=1e-6)
@@ -127,8 +127,8 @@ def test_known_dynamics_give_the_analytic_return() -> None:
     )
     # A policy that feels the steerings, so that trajectories are told apart by more than starts.
     scattered(made, 0.3)
-    start, history, latent = drawn_for(made)
-    returns, _, _ = made._virtual(made._parts[0], history, latent)
+    start, *given = drawn_for(made)
+    returns, _, _ = made._virtual(made._parts[0], *given)
     mean, scale = (
         floats(t)[0] for t in (made._data.frame_scaling.mean, made._data.frame_scaling.scale)
     )
@@ -176,10 +176,10 @@ def test_gradient_of_the_loss_by_central_differences() -> None:
     made = moose_learner(hidden=(5,), return_weight=0.4)
     scattered(made, 0.3)
     in_double(made)
-    _, history, latent = (t.double() for t in drawn_for(made))
+    _, *given = (t.double() for t in drawn_for(made))
     [part] = made._parts
     parameters = list(part.actor.parameters())
-    loss, _ = made._loss(part, history, latent)
+    loss, _ = made._loss(part, *given)
     for found, parameter in zip(
         torch.autograd.grad(loss.sum(), parameters), parameters, strict=True
     ):
@@ -187,7 +187,7 @@ def test_gradient_of_the_loss_by_central_differences() -> None:
 
         def value() -> float:
             with torch.no_grad():
-                return made._loss(part, history, latent)[0].item()
+                return made._loss(part, *given)[0].item()
 
         # double precision; a step of 1e-6 across no kink of the small networks
         np.testing.assert_allclose(found.flatten(), slopes(value, numbers), rtol=1e-4, atol=1e-7)
@@ -309,9 +309,7 @@ def test_the_penalty_alone_draws_the_policy_to_the_logged_actions() -> None:
         return_weight=0.0, learning_rate=0.015, hidden=(32,), trajectories=20, horizon=10,
     )  # fmt: skip
     frames = log.frames[log.frame_rows()]
-    histories = made._data.denormalise_history(
-        made._data.observations(torch.arange(log.transitions)[None])
-    )
+    histories = made._data.raw_histories(torch.arange(log.transitions)[None])
     logged = controller(frames[:, 1:4].astype(np.float64))
 
     def distance() -> float:

@@ -19,8 +19,8 @@ LOG = make_robot_log()
 
 def with_ranges(log: OfflineDataset, **healthy: list) -> OfflineDataset:
     """The log on whose card other ranges stand."""
-    machine = {**log.card.machine, "healthy": healthy}
-    return dataclasses.replace(log, card=dataclasses.replace(log.card, machine=machine))
+    dynamics = {**log.card.dynamics, "healthy": healthy}
+    return dataclasses.replace(log, card=dataclasses.replace(log.card, dynamics=dynamics))
 
 
 def test_healthy_ranges_are_scaled_like_what_policies_see() -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 from components.algorithms import mopo
 from components.algorithms.mopo import percentile, uncertainty
 from components.models.mlp_ensemble.ensemble import MLPEnsemble
-from components.models.transition.model_environment import Prediction
+from components.models.transition.interface import Prediction
 from tests.components.algorithms.mopo_worlds import (
     COUNT,
     LENGTH,

@@ -71,7 +71,7 @@ def bandit_actions(name: str, **changes: Any) -> torch.Tensor:
     made = trained(name, log, 500, hidden=(32,), **changes)
     takes_proximity = ALGORITHMS[name].takes_proximity
     policy = made.policy(policy_card(log, takes_proximity=takes_proximity))
-    histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
+    histories = made._data.raw_histories(torch.arange(200)[None])
     shape = (1, 200, policy.card.candidates, policy.card.noise)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0))
     chosen = policy.act(

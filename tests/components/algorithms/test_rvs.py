@@ -121,8 +121,8 @@ def test_dial_asks_for_the_mean_and_the_best_of_the_log() -> None:
     run(made, 20)
     policy = made.policy(policy_card(logs[0], takes_proximity=True))
     assert policy.card.kind == "clipped"
-    seen = made._data.observations(torch.tensor([[0, 30, 56]] * 2))
-    histories = made._data.denormalise_history(seen)
+    index = torch.tensor([[0, 30, 56]] * 2)
+    seen, histories = made._data.observations(index), made._data.raw_histories(index)
     for proximity in (0.0, 0.25, 1.0):
         found = policy.act(histories, torch.full((2, 3), proximity))
         for lane, log in enumerate(logs):
@@ -174,7 +174,7 @@ def test_asked_for_more_it_does_what_brought_more() -> None:
     made = small([log], window=1, hidden=(32,), batch=64, learning_rate=3e-3)
     run(made, 600)
     policy = made.policy(policy_card(log, takes_proximity=True))
-    histories = made._data.denormalise_history(made._data.observations(torch.arange(200)[None]))
+    histories = made._data.raw_histories(torch.arange(200)[None])
     lazy, eager = (
         policy.act(histories, torch.full((1, 200), proximity))[0] for proximity in (0.0, 1.0)
     )

@@ -5,7 +5,6 @@ and a clone's density grows without end. Rates are far above the defaults, so th
 lead far.
 """
 
-import dataclasses
 import math
 from typing import Any
 
@@ -13,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from components.data.controllers.industrial import CONTROLLERS
 from components.data.dataset import OfflineDataset
-from components.data.sources.catalogue import generate
-from components.data.sources.industrial import INDUSTRIAL_DATASETS
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from tests.components.algorithms.stacks import learner, run
 from tests.components.synthetic import policy_card
 
@@ -38,11 +38,12 @@ QUICK: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def logs() -> list[OfflineDataset]:
     """The sixteen datasets, short."""
-    specs = [
-        dataclasses.replace(spec, trajectories=4, steps=120)
-        for spec in INDUSTRIAL_DATASETS.values()
+    kinds = [(name, tenths / 10) for name in CONTROLLERS for tenths in (0, 2, 4, 6, 8)]
+    kinds.insert(10, ("mediocre", 1.0))
+    return [
+        generate(IndustrialSpec(f"{name}-{epsilon}", name, epsilon, trajectories=4, steps=120), 0)
+        for name, epsilon in kinds
     ]
-    return [generate(spec, 0) for spec in specs]
 
 
 def trained(name: str, logs: list[OfflineDataset]) -> tuple[Any, list[dict[str, torch.Tensor]]]:
@@ -74,9 +75,7 @@ def test_everything_stays_finite(name: str, logs: list[OfflineDataset]) -> None:
         wrong = names[~tensor.reshape(16, -1).isfinite().all(dim=1).numpy()]
         assert wrong.size == 0, f"{tensor_name}: {wrong}"
     policy = made.policy(policy_card(logs[0]))
-    histories = made._data.denormalise_history(
-        made._data.observations(torch.arange(0, 480, 7).expand(16, -1))
-    )
+    histories = made._data.raw_histories(torch.arange(0, 480, 7).expand(16, -1))
     shape = (*histories.shape[:2], policy.card.candidates, policy.card.noise)
     noise = torch.randn(shape, generator=torch.Generator().manual_seed(0))
     actions = policy.act(histories, noise=noise if policy.card.candidates else None)

@@ -29,6 +29,13 @@ LOG = make_log()
 OTHER = make_log("other", seed=5)
 
 
+def starts_of(made: wsbc.Learner, lane: int = 0) -> np.ndarray:
+    """Raw histories ``[S, H, F]`` in which a lane's virtual trajectories start."""
+    frames = made._behaviour.frames
+    seen = made._observations[lane].unflatten(1, (-1, frames.mean.shape[-1]))
+    return (seen * frames.scale[lane] + frames.mean[lane]).numpy()
+
+
 def made_of(
     behaviour: list[Policy], ensembles: list[RecurrentEnsemble], logs: list, **changes: Any
 ) -> wsbc.Learner:
@@ -85,7 +92,7 @@ def test_fitness_by_plain_loops() -> None:
         expected = []
         for n in range(4):
             layers = layers_at(positions[lane, n], behaviour[lane])
-            starts = made._history[lane].numpy()
+            starts = starts_of(made, lane)
             assert len(starts) == 6
             returns = [virtual_return(layers, scaling, ensembles[lane], s) for s in starts]
             expected.append(np.mean(returns))
@@ -122,7 +129,7 @@ def test_start_states_are_those_asked_for_and_stay_the_same(after: int) -> None:
             for t in range(after, after + 4)
         ]
     )
-    found = made._history[0].numpy()
+    found = starts_of(made)
     apart = np.abs(found[:, None] - early[None]).max(axis=(2, 3))
     # scaled and back in float32, values up to 100; no two candidates are nearer than 3
     assert (apart.min(axis=1) < 1e-4).all()
@@ -233,7 +240,7 @@ def test_it_finds_the_known_direction_within_the_box() -> None:
     scaling = Normaliser(clone.frames.mean[0], clone.frames.scale[0])
     lowered = arrays(clone.layers)
     lowered[-1][1][0] -= 0.05  # the velocity's bias, all that box allows: plainly better
-    starts = made._history[0].numpy()
+    starts = starts_of(made)
     target = np.mean([virtual_return(lowered, scaling, consuming(), s) for s in starts])
     at_first = np.mean(
         [virtual_return(arrays(clone.layers), scaling, consuming(), s) for s in starts]
@@ -271,7 +278,7 @@ def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
     made = wsbc.Learner(wsbc.Config(), inputs)
     assert made._swarm.positions.shape == (1, 200, 3683)
     assert made._swarm._ring.shape == (200, 31)
-    assert made._history.shape == (1, 200, 30, 6)
+    assert made._observations.shape == (1, 200, 180)
 
 
 @pytest.mark.parametrize(

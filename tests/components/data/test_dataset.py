@@ -1,6 +1,5 @@
 """Storage: layout, round trip, digest, and what damaged folders say."""
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -8,10 +7,11 @@ import numpy as np
 import pytest
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from tests.components.synthetic import make_log
 
-SPEC = dataclasses.replace(DATASETS["mediocre-0.4"], trajectories=3, steps=120)
+SPEC = IndustrialSpec("mediocre-0.4", "mediocre", 0.4, trajectories=3, steps=120)
 
 
 @pytest.fixture(scope="module")

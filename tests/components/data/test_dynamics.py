@@ -10,7 +10,8 @@ import torch
 from components.data.batches import LaneData
 from components.data.dataset import DatasetCard, OfflineDataset
 from components.data.dynamics import DynamicsSpecification, model_frames
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, FEATURES, SCALE, make_log
 
@@ -19,8 +20,8 @@ LOG, ROBOT = make_log(), make_robot_log()
 
 def changed(log: OfflineDataset, **section: Any) -> OfflineDataset:
     """The log with parts of its card's machine section replaced."""
-    machine = {**log.card.machine, **section}
-    return dataclasses.replace(log, card=dataclasses.replace(log.card, machine=machine))
+    dynamics = {**log.card.dynamics, **section}
+    return dataclasses.replace(log, card=dataclasses.replace(log.card, dynamics=dynamics))
 
 
 def frames_by_loop(log: OfflineDataset) -> np.ndarray:
@@ -65,7 +66,7 @@ def test_rules_survive_the_card_s_json() -> None:
 
 
 def test_the_industrial_benchmark_s_card_tells_how_its_frames_follow_from_actions() -> None:
-    log = generate(dataclasses.replace(DATASETS["bad-0.4"], trajectories=2, steps=50), seed=0)
+    log = generate(IndustrialSpec("bad-0.4", "bad", 0.4, trajectories=2, steps=50), seed=0)
     rule = DynamicsSpecification.of_card(log.card)
     assert not rule.hides
     before, after = log.frames[log.frame_rows()], log.frames[log.frame_rows() + 1]
@@ -82,15 +83,16 @@ def test_what_is_recorded_up_to_a_state(frames: int) -> None:
     data = LaneData(logs, CPU)
     last = logs[1].transitions - 1
     index = torch.tensor([[0, 1, 2, int(ROBOT.episode_starts[3]), 60], [0, 5, 1, last, 70]])
-    history, recorded = data.recorded(index, frames)
+    seen, recorded = data.start_states(index, frames)
+    assert torch.equal(seen, data.observations(index))
+    history = data.raw_histories(index)
     assert history.shape == (2, 5, 1, 3)
     assert recorded.shape == (2, 5, frames, 6)
     for lane, log in enumerate(logs):
         whole = frames_by_loop(log)
         for b, n in enumerate(index[lane].tolist()):
             newest, first = log.frame_rows()[n], log.first_rows()[n]
-            # scaled and unscaled in single precision
-            np.testing.assert_allclose(history[lane, b, 0], log.frames[newest], atol=1e-6)
+            np.testing.assert_array_equal(history[lane, b, 0], log.frames[newest])
             for lag in range(frames):
                 expected = whole[max(newest - lag, first)].astype(np.float32)
                 np.testing.assert_array_equal(recorded[lane, b, lag], expected)
@@ -99,9 +101,15 @@ def test_what_is_recorded_up_to_a_state(frames: int) -> None:
 def test_where_policies_see_all_the_past_is_what_they_see() -> None:
     data = LaneData([LOG], CPU)
     index = torch.tensor([[0, 41, 100]])
-    history, recorded = data.recorded(index, 2)
-    assert recorded is history
-    assert torch.equal(history, data.denormalise_history(data.observations(index)))
+    seen, recorded = data.start_states(index, 2)
+    assert torch.equal(seen, data.observations(index))
+    assert torch.equal(recorded, data.raw_histories(index))
+    for b, n in enumerate(index[0].tolist()):
+        newest, first = LOG.frame_rows()[n], LOG.first_rows()[n]
+        for lag in range(LOG.card.history):
+            # the frames themselves, not scaled and back
+            expected = LOG.frames[max(newest - lag, first)]
+            np.testing.assert_array_equal(recorded[0, b, lag], expected)
 
 
 @pytest.mark.parametrize(
@@ -112,10 +120,10 @@ def test_where_policies_see_all_the_past_is_what_they_see() -> None:
         ({"learned": ["tilt", "speed", "bend", "height"]}, "needs frames of .* but robot logs"),
         ({"reward": {"profit": 1.0}}, "the reward {'profit': 1.0} must be made of"),
         (
-            {"known": {**ROBOT.card.machine["known"], "features": ["knee", "hip"]}},
+            {"known": {**ROBOT.card.dynamics["known"], "features": ["knee", "hip"]}},
             r"must end with the actions \('hip', 'knee'\)",
         ),
-        ({"known": {**ROBOT.card.machine["known"], "keep": [0.0]}}, "a number for each"),
+        ({"known": {**ROBOT.card.dynamics["known"], "keep": [0.0]}}, "a number for each"),
     ],
 )
 def test_cards_that_contradict_their_logs_are_refused(section: Any, message: str) -> None:

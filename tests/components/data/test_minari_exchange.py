@@ -1,6 +1,5 @@
 """Exchange with Minari: alignment, names, other tools' view, and the way back."""
 
-import dataclasses
 import json
 import os
 from pathlib import Path
@@ -11,8 +10,9 @@ import pytest
 
 from components.data.dataset import OfflineDataset
 from components.data.minari_exchange import export_minari, import_minari, minari_id
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
+from components.data.sources.source import generate
 from components.environments.mujoco.specifications import SWIMMER
 from tests.components.data.sources.toy_robot import toy_expert
 from tests.components.synthetic import relabelled
@@ -20,7 +20,9 @@ from tests.components.synthetic import relabelled
 
 @pytest.fixture(scope="module")
 def dataset() -> OfflineDataset:
-    return generate(dataclasses.replace(DATASETS["mediocre-0.2"], trajectories=3, steps=40), seed=0)
+    return generate(
+        IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=3, steps=40), seed=0
+    )
 
 
 @pytest.fixture

@@ -1,18 +1,17 @@
 """Held-out episodes."""
 
-import dataclasses
-
 import pytest
 
 from components.data.dataset import OfflineDataset
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from components.data.splits import split_episodes
 
 
 @pytest.fixture(scope="module")
 def dataset() -> OfflineDataset:
     return generate(
-        dataclasses.replace(DATASETS["mediocre-1.0"], trajectories=10, steps=30), seed=0
+        IndustrialSpec("mediocre-1.0", "mediocre", 1.0, trajectories=10, steps=30), seed=0
     )
 
 
@@ -30,6 +29,6 @@ def test_impossible_splits_are_refused(dataset: OfflineDataset) -> None:
     for fraction in (0.0, 1.0):
         with pytest.raises(ValueError, match="between 0 and 1"):
             split_episodes(dataset, fraction)
-    single = generate(dataclasses.replace(DATASETS["bad-0.0"], trajectories=1, steps=5), 0)
+    single = generate(IndustrialSpec("bad-0.0", "bad", 0.0, trajectories=1, steps=5), 0)
     with pytest.raises(ValueError, match="single episode"):
         split_episodes(single)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID, SWIMMER_ID, rendering
+from components.environments import INDUSTRIAL_BENCHMARK_ID, rendering
+from components.environments.mujoco.specifications import HOPPER, SWIMMER
 from components.environments.rendering import FRAMES_PER_SECOND, drawing_library, film
 from components.environments.systems import make_batch
 
@@ -28,8 +29,8 @@ def test_a_film_shows_the_episode_until_the_fall(
         seen.append(frames.copy())
         return np.ones(3)
 
-    take = film(HOPPER_ID, {"physics": "v3"}, act, pictures.append, history=2, seed=3, size=64)
-    robots = make_batch(HOPPER_ID, 1)
+    take = film(HOPPER.id, {"physics": "v3"}, act, pictures.append, history=2, seed=3, size=64)
+    robots = make_batch(HOPPER.id, 1)
     frame, total, steps = robots.reset([np.random.default_rng(3)]), 0.0, 0
     np.testing.assert_array_equal(seen[0], np.stack([frame, frame], axis=1))
     while not robots.terminated.any():
@@ -51,7 +52,7 @@ def test_a_swimmer_is_filmed_for_as_long_as_asked(
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", library)
     pictures: list[np.ndarray] = []
-    take = film(SWIMMER_ID, {}, lambda frames: np.zeros(2), pictures.append, steps=3, size=32)
+    take = film(SWIMMER.id, {}, lambda frames: np.zeros(2), pictures.append, steps=3, size=32)
     assert (take.steps, take.fell, take.seconds) == (3, False, 3 / FRAMES_PER_SECOND)
     assert len(pictures) == 4
 

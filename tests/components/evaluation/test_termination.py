@@ -10,7 +10,7 @@ import torch
 
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
-from components.environments import HOPPER_ID
+from components.environments.mujoco.specifications import HOPPER
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import evaluate_policies
 from components.policies.policy import Policy
@@ -89,11 +89,11 @@ def test_a_falling_hopper_earns_what_gymnasium_pays_until_then() -> None:
     protocol = EvaluationProtocol(trajectories=3, horizon=60)
     parameters: dict[str, Any] = {"physics": "v3"}
     [result] = evaluate_policies(
-        [policy], [policy], HOPPER_ID, parameters, protocol, 0.99, [8], CPU
+        [policy], [policy], HOPPER.id, parameters, protocol, 0.99, [8], CPU
     )
     generator, lengths = lane_generator(8), []
     for trajectory in range(3):
-        single = gym.make(HOPPER_ID, **parameters).unwrapped
+        single = gym.make(HOPPER.id, **parameters).unwrapped
         single.np_random = generator
         single.reset()
         earned = 0.0

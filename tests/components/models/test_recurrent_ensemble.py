@@ -12,7 +12,8 @@ from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_key
 from components.core.tensors import save_tensors
 from components.data.dynamics import DynamicsSpecification
-from components.data.sources.catalogue import DATASETS, generate
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.source import generate
 from components.models.recurrent_ensemble import fit as recurrent_fit
 from components.models.recurrent_ensemble.ensemble import (
     RecurrentEnsemble,
@@ -188,7 +189,7 @@ def test_training_and_roll_outs_predict_the_same() -> None:
         moved = torch.from_numpy(actions[len(seen) - 1]) - observation[0, :, 1:4]
         return (moved / torch.tensor(SCALE).float())[None]
 
-    assert len(list(virtual.unroll(history, act, TINY.horizon))) == TINY.horizon
+    assert len(list(virtual.unroll(history.flatten(2), history, act, TINY.horizon))) == TINY.horizon
     for t, frame in enumerate(seen[1:]):
         scaled = ensemble.frames.apply(frame)[:, 4:]
         # eight recurrent steps in float32, scaled and unscaled
@@ -302,7 +303,7 @@ def test_part_of_the_default_budget_on_the_real_log() -> None:
     budget reaches the required 0.05 and 0.008, see the next test.
     """
     config = RecurrentEnsembleConfig(updates=400)
-    log = generate(DATASETS["mediocre-1.0"], seed=0)
+    log = generate(IndustrialSpec("mediocre-1.0", "mediocre", 1.0), seed=0)
     key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
     metrics = fit_recurrent_ensemble(log, config, key, CPU).metrics
     assert metrics["validation_mse/fatigue"] <= 0.07
@@ -315,7 +316,7 @@ def test_default_settings_reach_the_required_accuracy() -> None:
 
     Measured 0.028 (fatigue) and 0.0022 (consumption).
     """
-    log = generate(DATASETS["mediocre-1.0"], seed=0)
+    log = generate(IndustrialSpec("mediocre-1.0", "mediocre", 1.0), seed=0)
     key = lane_key("mediocre-1.0", "recurrent_ensemble", 0)
     metrics = fit_recurrent_ensemble(log, RecurrentEnsembleConfig(), key, CPU).metrics
     assert metrics["validation_mse/fatigue"] <= 0.05

@@ -170,9 +170,8 @@ def test_training_and_roll_outs_predict_the_same() -> None:
     plain = Normaliser(torch.zeros(1, 3), torch.ones(1, 3))
     virtual = ModelEnvironment(RecurrentTransition([alone], CPU), RULE, plain, CPU)
     actions = iter(whole[start + 3 + t + 1, :2][None] for t in range(8))
-    steps = virtual.unroll(
-        recorded[:, :, :1, 2:5], lambda seen: next(actions), 8, recorded=recorded
-    )
+    seen = recorded[:, :, 0, 2:5]
+    steps = virtual.unroll(seen, recorded, lambda now: next(actions), 8)
     scaling = Normaliser(ensemble.frames.mean[2:], ensemble.frames.scale[2:])
     for step, values in zip(steps, expected, strict=True):
         found = torch.cat([step.frames, step.rewards[..., None]], dim=-1)[0]

@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas
 import pytest
 
-from components.data.sources.catalogue import DATASETS
 from components.reporting.tables import (
     COLUMNS,
     markdown_table,
@@ -18,6 +17,8 @@ from components.reporting.tables import (
     thesis_numbers,
 )
 from tests.components.reporting.summaries import LION, TD3_BC, point
+
+CONF = Path(__file__).parents[3] / "conf" / "dataset"
 
 PROMISED = [
     "dataset",
@@ -45,7 +46,8 @@ def test_thesis_numbers_are_joined() -> None:
     numbers = thesis_numbers()
     assert numbers["mediocre-0.2", "td3_bc"] == (-77.7, 0.1)
     assert numbers["optimized-0.6", "td3_bc"] == (-62.7, 0.1)
-    missing = [name for name in DATASETS if (name, "td3_bc") not in numbers]
+    assert sum(algorithm == "td3_bc" for _, algorithm in numbers) >= 19
+    missing = [path.stem for path in CONF.glob("*.yaml") if (path.stem, "td3_bc") not in numbers]
     assert missing == []
     [row] = result_table([TD3_BC]).to_dict("records")
     assert (row["thesis_tenth_percentile"], row["thesis_standard_error"]) == (-77.7, 0.1)

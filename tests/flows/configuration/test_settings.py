@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from components.algorithms import ALGORITHMS
-from components.data.sources.catalogue import DATASETS
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.robots import RobotSpec
+from components.environments.mujoco.specifications import ROBOTS
 from components.models import MODELS
 from flows.command_line import make_executor
 from flows.configuration.defaults import ALGORITHM_CONFIGS
@@ -17,7 +19,11 @@ from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.executors.ray import RayExecutor
 
 ROOT = Path(__file__).parents[3]
-ALL_DATASETS = ", ".join(sorted(DATASETS))
+DATASETS = sorted(
+    [f"{name}-0.{n}" for name in ("bad", "mediocre", "optimized") for n in (0, 2, 4, 6, 8)]
+    + ["mediocre-1.0", *ROBOTS]
+)
+ALL_DATASETS = ", ".join(DATASETS)
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +54,18 @@ def test_every_dataset_has_its_file() -> None:
     assert {path.stem for path in (CONF / "dataset").glob("*.yaml")} == set(DATASETS)
 
 
-@pytest.mark.parametrize("name", DATASETS)
-def test_documented_datasets_are_the_catalogue_s(name: str, paper: Settings) -> None:
-    assert paper.dataset[name] == DATASETS[name]
+def test_the_nineteen_datasets_are_those_of_the_thesis(paper: Settings) -> None:
+    assert paper.datasets == tuple(DATASETS)
+    for name, source in paper.dataset.items():
+        if name in ROBOTS:
+            assert source == RobotSpec(name, name)
+        else:
+            controller, epsilon = name.split("-")
+            assert source == IndustrialSpec(name, controller, float(epsilon))
 
 
 def test_paper_is_the_default_profile_with_the_protocol_of_the_thesis(paper: Settings) -> None:
     assert paper.profile_name == "paper"
-    assert paper.datasets == tuple(sorted(DATASETS))
     updates = {
         **dict.fromkeys(("bc", "ddpg", "bcq", "bear", "brac", "td3_bc"), 10_000),
         **{"cql": 300_000, "mopo": 100_000, "morel": 500},

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from components.data.sources.robots import ROBOT_DATASETS
+from components.data.sources.robots import RobotSpec
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.planning.benchmark import benchmark_plan, data_plan
 from flows.planning.subjects import search_subjects
@@ -13,7 +13,10 @@ from flows.planning.subjects import search_subjects
 @pytest.fixture
 def settings() -> Settings:
     general = load_settings(["profile=smoke", "algorithms=[bc]", "tuning.models=all"])
-    robots = {"dataset": dict(ROBOT_DATASETS), "datasets": ("swimmer", "hopper")}
+    robots = {
+        "dataset": {name: RobotSpec(name, name) for name in ("swimmer", "hopper")},
+        "datasets": ("swimmer", "hopper"),
+    }
     return general.model_copy(update=robots)
 
 

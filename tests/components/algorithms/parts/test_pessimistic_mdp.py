@@ -16,7 +16,8 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.models.mlp_ensemble.ensemble import MLPTransition
-from components.models.transition.model_environment import ModelEnvironment, Prediction
+from components.models.transition.interface import Prediction
+from components.models.transition.model_environment import ModelEnvironment
 from tests.components.models.plain import member_outputs
 from tests.components.synthetic import CPU, SCALE, make_log, random_mlp_ensemble
 

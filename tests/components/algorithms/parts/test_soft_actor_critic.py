@@ -202,8 +202,9 @@ def test_deployed_is_the_tanh_of_the_mean() -> None:
     log = with_a_terminal()
     policy = made.policy(policy_card(log))
     assert policy.card.kind == "tanh"
-    observations = made._data.observations(torch.tensor([[0, 7, 90]] * 2))
-    actions = policy.act(made._data.denormalise_history(observations))
+    index = torch.tensor([[0, 7, 90]] * 2)
+    observations = made._data.observations(index)
+    actions = policy.act(made._data.raw_histories(index))
     for lane in range(2):
         for i in range(3):
             seen = floats(observations)[lane, i]

@@ -12,9 +12,9 @@ from components.data.batches import LaneData
 from components.data.dataset import DatasetCard, OfflineDataset
 from components.data.sources import robots
 from components.data.sources.robot_collection import Exploration, collect_episodes
-from components.data.sources.robots import ROBOT_DATASETS, RobotSpec, dynamics_section, make_robots
+from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import HOPPER, SWIMMER, WALKER2D, Robot
+from components.environments.mujoco.specifications import HOPPER, ROBOTS, SWIMMER, WALKER2D, Robot
 from tests.components.data.sources.toy_robot import LIMIT, ToyRobot, toy_expert
 
 SPEC = RobotSpec("toy", "hopper", transitions=3000, steps=120)
@@ -26,7 +26,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "hopper").mkdir()
     toy_expert().save(tmp_path / "hopper")
     monkeypatch.setattr(robots, "SHIPPED", tmp_path)
-    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, *_: ToyRobot(copies))
+    monkeypatch.setattr(robots, "Robots", lambda robot, copies, *_: ToyRobot(copies))
     return tmp_path / "hopper"
 
 
@@ -40,9 +40,10 @@ def lengths(dataset: OfflineDataset) -> np.ndarray:
 
 
 def test_the_three_of_the_thesis() -> None:
-    assert list(ROBOT_DATASETS) == ["swimmer", "hopper", "walker2d"]
-    for name, spec in ROBOT_DATASETS.items():
-        assert (spec.name, spec.robot, spec.physics) == (name, name, "v3")
+    assert list(ROBOTS) == ["swimmer", "hopper", "walker2d"]
+    for name in ROBOTS:
+        spec = RobotSpec(name, name)
+        assert spec.physics == "v3"
         assert (spec.epsilon, spec.noise, spec.discount) == (0.3, 0.3, 0.99)
         assert (spec.transitions, spec.steps) == (1_000_000, 1000)
 
@@ -175,12 +176,12 @@ def test_card_says_what_the_log_is(dataset: OfflineDataset) -> None:
     assert card.steps == lengths(dataset).max()
     assert (card.history, card.discount, card.return_steps) == (1, 0.99, 100)
     assert card.simulator.startswith("mujoco 4") or card.simulator.startswith("mujoco 3")
-    assert card.machine == dynamics_section(HOPPER)
+    assert card.dynamics == HOPPER.dynamics
     assert DatasetCard.from_json(card.to_json()) == card
 
 
 def test_of_a_robot_only_its_action_is_known() -> None:
-    section = dynamics_section(SWIMMER)
+    section = SWIMMER.dynamics
     assert section["known"] == {
         "features": ["first_rotor_torque", "second_rotor_torque"],
         "keep": [0.0, 0.0],
@@ -198,7 +199,7 @@ def test_healthy_ranges_tell_falls_from_frames(robot: Robot) -> None:
     machine = Robots(robot, 60)
     rng = np.random.default_rng(0)
     machine.reset(rng)
-    ranges = dynamics_section(robot)["healthy"]
+    ranges = robot.dynamics["healthy"]
     everything = [ranges.get(name, [None, None]) for name in robot.frame_features]
     low = np.array([-np.inf if least is None else least for least, _ in everything])
     high = np.array([np.inf if greatest is None else greatest for _, greatest in everything])
@@ -234,7 +235,7 @@ def test_an_expert_of_another_robot_is_refused(toy: Path, monkeypatch: pytest.Mo
     class Other(ToyRobot):
         frame_features = ("place", "speed", "angle")
 
-    monkeypatch.setattr(robots, "make_robots", lambda robot, copies, *_: Other(copies))
+    monkeypatch.setattr(robots, "Robots", lambda robot, copies, *_: Other(copies))
     with pytest.raises(ValueError, match="does not know the frames of proximity/Hopper-v0"):
         SPEC.generate(0)
 
@@ -250,7 +251,7 @@ def test_the_log_of_a_swimmer_can_be_played_again(monkeypatch: pytest.MonkeyPatc
     dataset = RobotSpec("swimmer", "swimmer", transitions=150, steps=60).generate(0)
     assert lengths(dataset).tolist() == [60, 60, 30]
     # the logged actions, played from the logged start, earn the logged rewards
-    machine = make_robots("swimmer", 3, "v3")
+    machine = Robots(SWIMMER, 3, "v3")
     key = lane_key("robot dataset", "swimmer", 0)
     frames = machine.reset([lane_generator(lane_key(key, "start"), n) for n in range(3)])
     rows = dataset.episode_starts[:-1]
@@ -277,8 +278,8 @@ def test_impossible_specifications_are_refused(change: dict[str, object], messag
         dataclasses.replace(SPEC, **change)
 
 
-@pytest.mark.parametrize("robot", ROBOT_DATASETS)
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_shipped_experts_log_the_same_bytes_on_more_threads(robot: str) -> None:
-    spec = dataclasses.replace(ROBOT_DATASETS[robot], transitions=2000)
+    spec = RobotSpec(robot, robot, transitions=2000)
     digests = {spec.generate(0, threads).card.digest for threads in (1, 2)}
     assert len(digests) == 1

@@ -12,7 +12,7 @@ import pytest
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.utils.env_checker import check_env
 
-from components.environments import HOPPER_ID, INDUSTRIAL_BENCHMARK_ID, SWIMMER_ID, WALKER2D_ID
+from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco import simulations as engines
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import (
@@ -26,7 +26,7 @@ from components.environments.mujoco.specifications import (
 )
 from components.environments.systems import make_batch
 
-ROBOTS = {SWIMMER_ID: SWIMMER, HOPPER_ID: HOPPER, WALKER2D_ID: WALKER2D}
+ROBOTS = {robot.id: robot for robot in (SWIMMER, HOPPER, WALKER2D)}
 ASSETS = Path(gym.__file__).parent / "envs" / "mujoco" / "assets"
 ENGINES = ["batched", "looped"]
 
@@ -47,13 +47,13 @@ class Reference:
     def __init__(self, name: str, physics: str, folder: Path) -> None:
         self._v3 = physics == "v3"
         options: dict[str, Any] = {}
-        if name == HOPPER_ID and self._v3:
+        if name == HOPPER.id and self._v3:
             text = (ASSETS / "hopper.xml").read_text(encoding="utf-8")
             halved = text.replace('margin="0.001"', 'margin="0.0005"')
             assert halved != text
             (folder / "hopper.xml").write_text(halved, encoding="utf-8")
             options["xml_file"] = str(folder / "hopper.xml")
-        if name == WALKER2D_ID and self._v3:
+        if name == WALKER2D.id and self._v3:
             options["xml_file"] = "walker2d.xml"
         original = name.split("/")[1].replace("-v0", "-v5")
         environment = gym.make(original, **options).unwrapped
@@ -100,7 +100,7 @@ def test_every_copy_is_gymnasiums_robot_bit_by_bit(
         again = [singles[copy].reset() for copy in np.flatnonzero(fallen)]
         np.testing.assert_array_equal(fresh, np.reshape(again, fresh.shape))
         assert not robots.terminated.any()
-    assert (falls == 0) == (name == SWIMMER_ID)
+    assert (falls == 0) == (name == SWIMMER.id)
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")  # Gymnasium's own are unbounded
@@ -121,7 +121,7 @@ def test_the_single_environments_are_the_same_robots(
         assert (reward, terminated, truncated) == (*expected[1:], step == 999)
         if terminated:
             break
-    assert terminated == (name != SWIMMER_ID)
+    assert terminated == (name != SWIMMER.id)
     twin = copy.deepcopy(single.unwrapped)  # Gymnasium's classes are copied by their arguments
     assert isinstance(twin, MujocoEnv)
     ours = load_model(ROBOTS[name], physics)
@@ -172,7 +172,7 @@ def test_names_of_features_follow_the_model(robot: Robot) -> None:
         assert turning == angle.replace("angle", "angular_velocity")
 
 
-@pytest.mark.parametrize("name", [HOPPER_ID, WALKER2D_ID])
+@pytest.mark.parametrize("name", [HOPPER.id, WALKER2D.id])
 def test_where_a_robot_stands_is_what_gymnasium_calls_healthy(name: str) -> None:
     single, health = gym.make(name).unwrapped, ROBOTS[name].health
     assert isinstance(single, MujocoEnv)
@@ -189,7 +189,7 @@ def test_where_a_robot_stands_is_what_gymnasium_calls_healthy(name: str) -> None
             single.data.qpos[:], single.data.qvel[:] = positions, velocities
             verdicts.append(bool(health.holds(positions[None], velocities[None])[0]))
             # Walker2D's class does not look at a joint's value, not even whether it is a number
-            blind = name == WALKER2D_ID and place > 2 and np.isnan(value)
+            blind = name == WALKER2D.id and place > 2 and np.isnan(value)
             assert verdicts[-1] == (not blind and single.is_healthy)  # type: ignore[attr-defined]
     assert {True, False} == set(verdicts)
 
@@ -311,9 +311,9 @@ def hopper(copies: int = 2, **parameters: Any) -> Robots:
             lambda: make_batch("Hopper-v5", 2),
             "Unknown environment 'Hopper-v5'; known are ",
         ),
-        (lambda: make_batch(HOPPER_ID, 2, physics="v4"), "physics 'v4' does not exist; choose v3"),
+        (lambda: make_batch(HOPPER.id, 2, physics="v4"), "physics 'v4' does not exist; choose v3"),
         (
-            lambda: gym.make(SWIMMER_ID, physics="v2"),
+            lambda: gym.make(SWIMMER.id, physics="v2"),
             "physics 'v2' does not exist; choose v3 or",
         ),
         (lambda: hopper(0), "copies is 0 and threads is 1; give at least 1"),

@@ -55,6 +55,7 @@ def unrolled(
     actions = iter(torch.from_numpy(ACTIONS))
     steps = list(
         machine.unroll(
+            ((HISTORY - scaling.mean[:, None, None]) / scaling.scale[:, None, None]).flatten(2),
             HISTORY,
             lambda seen: next(actions).expand(*seen.shape[:2], -1),
             STEPS,

@@ -32,6 +32,7 @@ LOG = make_log()
 RULE = DynamicsSpecification.of_card(LOG.card)
 PLAIN = Normaliser(torch.zeros(6), torch.ones(6))
 HISTORY = torch.from_numpy(LOG.frames[:12].reshape(1, 4, 3, 6).copy())  # [L, B, H, F]
+SEEN = HISTORY.flatten(2)  # as policies see them in the plain scaling
 
 
 def constant_ensemble(
@@ -69,7 +70,9 @@ def watched(virtual: ModelEnvironment, actions: Tensor, history: Tensor = HISTOR
         seen.append(observation.detach())
         return actions[len(seen) - 1].expand(*observation.shape[:2], -1)
 
-    rewards = torch.stack([s.rewards for s in virtual.unroll(history, act, len(actions))])
+    rewards = torch.stack(
+        [s.rewards for s in virtual.unroll(history.flatten(2), history, act, len(actions))]
+    )
     return rewards, torch.stack(seen)
 
 
@@ -127,7 +130,7 @@ def test_clipping_is_an_option_and_steps_tell_what_was_drawn(
     scaling = Normaliser.stack([PLAIN])
     transition = RecurrentTransition([ensemble], CPU)
     virtual = ModelEnvironment(transition, RULE, scaling, CPU, limits)
-    for step in virtual.unroll(HISTORY, lambda seen: torch.zeros(1, 4, 3), 3):
+    for step in virtual.unroll(SEEN, HISTORY, lambda seen: torch.zeros(1, 4, 3), 3):
         # 40 + 4 z and 100 + 8 z, exact in float32
         assert step.frames[0, :, 4:].tolist() == [[fatigue, consumption]] * 4
         assert step.drawn[0, :, 0].tolist() == [[5.0] * 4, [-7.0] * 4]
@@ -208,7 +211,10 @@ def test_gradients_flow_through_time() -> None:
 
     def total(weights: Tensor) -> Tensor:
         steps = virtual.unroll(
-            HISTORY.double(), lambda seen: torch.tanh((seen - 50.0) @ weights / 10.0), 8
+            SEEN.double(),
+            HISTORY.double(),
+            lambda seen: torch.tanh((seen - 50.0) @ weights / 10.0),
+            8,
         )
         rewards = torch.stack([step.rewards for step in steps])
         return (discounts[:, None, None] * rewards).sum()
@@ -238,6 +244,7 @@ def test_without_gradients_the_steps_are_the_same(kind: str, propagation: str) -
     )
     virtual = ModelEnvironment(transition, RULE, scaling, CPU)
     history = torch.from_numpy(LOG.frames[:60].reshape(2, 10, 3, 6).copy())
+    seen_first = ((history - scaling.mean[:, None, None]) / scaling.scale[:, None, None]).flatten(2)
     generator = torch.Generator().manual_seed(0)
     matrix = 0.3 * torch.randn(2, 18, 3, generator=generator)
     chosen = torch.randint(3, (12, 2, 10), generator=generator)
@@ -246,13 +253,13 @@ def test_without_gradients_the_steps_are_the_same(kind: str, propagation: str) -
     def act(seen: Tensor) -> Tensor:
         return torch.tanh(seen @ matrix)
 
-    recorded = list(virtual.unroll(history, act, 12, which))
+    recorded = list(virtual.unroll(seen_first, history, act, 12, which))
     copies = 3 if propagation == "isolated" else 1
     begun = transition.begin(history[:, None].expand(-1, copies, -1, -1, -1))
     with torch.no_grad():
-        plain = list(virtual.unroll(history, act, 12, which))
-        continued = list(virtual.unroll(history, act, 12, which, state=begun))
-        again = list(virtual.unroll(history, act, 12, which, state=begun))
+        plain = list(virtual.unroll(seen_first, history, act, 12, which))
+        continued = list(virtual.unroll(seen_first, history, act, 12, which, state=begun))
+        again = list(virtual.unroll(seen_first, history, act, 12, which, state=begun))
     for number, step in enumerate(recorded):
         for other in (plain[number], continued[number], again[number]):
             for name in ("observations", "actions", "rewards", "frames", "drawn"):
@@ -266,7 +273,7 @@ def test_without_gradients_the_steps_are_the_same(kind: str, propagation: str) -
 def test_of_equally_low_rewards_the_first_member_is_followed() -> None:
     # Clipped to 1, the last three are equally bad; what is drawn is not clipped.
     virtual = machine(constant_ensemble([0.0, 3.0, 4.0, 2.0], [0.0, 6.0, 5.0, 7.0], -1.0, 1.0))
-    [step] = virtual.unroll(HISTORY, lambda seen: seen.new_zeros(*seen.shape[:2], 3), 1)
+    [step] = virtual.unroll(SEEN, HISTORY, lambda seen: seen.new_zeros(*seen.shape[:2], 3), 1)
     assert step.drawn[0, :, 0].tolist() == [[3.0] * 4, [6.0] * 4]
 
 
@@ -276,7 +283,7 @@ def test_return_rises_where_less_is_consumed() -> None:
     ensemble.weight[1, 0, 2 + 1] = 0.5  # velocity into the first hidden unit
     ensemble.readout[1, 0, 0] = 2.0
     action = torch.zeros(3, requires_grad=True)
-    steps = machine(ensemble).unroll(HISTORY, lambda seen: action.expand(1, 4, 3), 5)
+    steps = machine(ensemble).unroll(SEEN, HISTORY, lambda seen: action.expand(1, 4, 3), 5)
     torch.stack([step.rewards for step in steps]).sum().backward()
     assert action.grad[0] < 0
     assert action.grad[1:].tolist() == [0.0, 0.0]
@@ -296,7 +303,7 @@ def test_cards_must_tell_how_actions_move_the_machine() -> None:
     assert RULE.scale == tuple(SCALE)
     assert RULE.reward == (-0.03, -0.01)
     known = {"features": ["setpoint"], "keep": [1.0], "scale": [0.0]}
-    card = dataclasses.replace(LOG.card, machine={"known": known, "learned": []})
+    card = dataclasses.replace(LOG.card, dynamics={"known": known, "learned": []})
     with pytest.raises(ValueError, match="card of toy lacks 'low' in its machine section"):
         DynamicsSpecification.of_card(card)
 
@@ -318,10 +325,14 @@ def test_isolated_members_continue_their_own_copies() -> None:
     """Member k's copies are the trajectories of a machine that has no other member."""
     ensembles = [random_ensemble(LOG, name, members=3) for name in "ab"]
     history = HISTORY.expand(2, -1, -1, -1)
-    steps = list(machine(*ensembles).unroll(history, by_velocity, 6, "isolated"))
+    steps = list(
+        machine(*ensembles).unroll(history.flatten(2), history, by_velocity, 6, "isolated")
+    )
     assert steps[0].observations.shape == (2, 3 * 4, 18)
     for member in range(3):
-        own = machine(*(alone(e, member) for e in ensembles)).unroll(history, by_velocity, 6)
+        own = machine(*(alone(e, member) for e in ensembles)).unroll(
+            history.flatten(2), history, by_velocity, 6
+        )
         for step, expected in zip(steps, own, strict=True):
             for name in ("observations", "actions", "rewards", "frames"):
                 found = getattr(step, name).unflatten(1, (3, 4))[:, member]
@@ -332,9 +343,9 @@ def test_isolated_members_continue_their_own_copies() -> None:
 
 def test_one_member_followed_throughout_is_that_member_in_isolation() -> None:
     ensemble = random_ensemble(LOG, "c", members=3)
-    isolated = list(machine(ensemble).unroll(HISTORY, by_velocity, 5, "isolated"))
+    isolated = list(machine(ensemble).unroll(SEEN, HISTORY, by_velocity, 5, "isolated"))
     members = torch.tensor([2, 0, 1, 2])
-    followed = machine(ensemble).unroll(HISTORY, by_velocity, 5, members.expand(5, 1, 4))
+    followed = machine(ensemble).unroll(SEEN, HISTORY, by_velocity, 5, members.expand(5, 1, 4))
     for step, copies in zip(followed, isolated, strict=True):
         found = copies.frames.unflatten(1, (3, 4))[0, members, torch.arange(4)]
         torch.testing.assert_close(step.frames[0], found)
@@ -343,7 +354,9 @@ def test_one_member_followed_throughout_is_that_member_in_isolation() -> None:
 def test_members_may_change_from_step_to_step() -> None:
     ensemble = constant_ensemble([0.0, 1.0, -1.0], [0.0, -1.0, 1.25])
     members = torch.tensor([[[0, 1, 2, 0]], [[2, 2, 1, 0]]])
-    steps = list(machine(ensemble).unroll(HISTORY, lambda seen: seen[..., :3] * 0, 2, members))
+    steps = list(
+        machine(ensemble).unroll(SEEN, HISTORY, lambda seen: seen[..., :3] * 0, 2, members)
+    )
     fatigue = torch.tensor([40.0, 44.0, 36.0])
     for step, chosen in zip(steps, members, strict=True):
         assert torch.equal(step.frames[0, :, 4], fatigue[chosen[0]])
@@ -352,8 +365,8 @@ def test_members_may_change_from_step_to_step() -> None:
 def test_noise_does_nothing_to_members_without_a_spread() -> None:
     ensemble = random_ensemble(LOG, "d")
     noise = torch.randn(3, 1, 2, 4, generator=torch.Generator().manual_seed(0))
-    plain = machine(ensemble).unroll(HISTORY, by_velocity, 3)
-    noisy = machine(ensemble).unroll(HISTORY, by_velocity, 3, noise=noise)
+    plain = machine(ensemble).unroll(SEEN, HISTORY, by_velocity, 3)
+    noisy = machine(ensemble).unroll(SEEN, HISTORY, by_velocity, 3, noise=noise)
     for first, second in zip(plain, noisy, strict=True):
         assert torch.equal(first.rewards, second.rewards)
 

@@ -24,11 +24,11 @@ from components.models.recurrent_ensemble.ensemble import (
 )
 from components.models.recurrent_ensemble.fit import fit_recurrent_ensemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.transition.interface import TransitionModel
 from components.models.transition.model_environment import (
     ModelEnvironment,
     Propagation,
     RolloutStep,
-    TransitionModel,
     discounted_sum,
 )
 from tests.components.models.plain import doubles
@@ -78,13 +78,11 @@ def test_the_member_of_least_reward_is_followed_as_in_a_plain_loop() -> None:
                                 for e in ensembles])  # fmt: skip
     virtual = ModelEnvironment(RecurrentTransition(ensembles, CPU), RULE, scaling, CPU)
     index = torch.tensor([[3, 50, 77, 200], [8, 9, 120, 300]])
-    history, recorded = LaneData([LOG] * 2, CPU).recorded(index, 3)
+    seen, recorded = LaneData([LOG] * 2, CPU).start_states(index, 3)
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (9, 2)).astype(np.float32)
     given = iter(torch.from_numpy(actions))
     steps = list(
-        virtual.unroll(
-            history, lambda seen: next(given).expand(*seen.shape[:2], -1), 9, recorded=recorded
-        )
+        virtual.unroll(seen, recorded, lambda now: next(given).expand(*now.shape[:2], -1), 9)
     )
     chosen = set()
     for lane, b in np.ndindex(2, 4):
@@ -106,16 +104,11 @@ def test_without_gradients_the_steps_are_the_same(propagation: Propagation) -> N
     data = LaneData([LOG], CPU)
     transition = RecurrentTransition([random_ensemble(LOG, "a")], CPU)
     virtual = ModelEnvironment(transition, RULE, data.frame_scaling, CPU)
-    past = data.recorded(torch.tensor([[3, 50, 77, 200]]), 3)
+    past = data.start_states(torch.tensor([[3, 50, 77, 200]]), 3)
     matrix = torch.randn(3, 2, generator=torch.Generator().manual_seed(0))
 
     def steps() -> list[RolloutStep]:
-        history, recorded = past
-        return list(
-            virtual.unroll(
-                history, lambda seen: torch.tanh(seen @ matrix), 9, propagation, recorded=recorded
-            )
-        )
+        return list(virtual.unroll(*past, lambda seen: torch.tanh(seen @ matrix), 9, propagation))
 
     with torch.no_grad():
         plain = steps()
@@ -170,11 +163,9 @@ def test_known_dynamics_bring_the_robot_s_own_return(form: str, gradients: bool)
     )
     gains = torch.tensor([[-0.7, 0.2], [0.3, -0.9], [0.0, 0.4]])
     start = torch.tensor([[0, 3, 40, 77]])
-    history, recorded = data.recorded(start, 1)
+    past = data.start_states(start, 1)
     with torch.set_grad_enabled(gradients):
-        steps = list(
-            machine.unroll(history, lambda seen: 2.0 * seen @ gains, 12, recorded=recorded)
-        )
+        steps = list(machine.unroll(*past, lambda seen: 2.0 * seen @ gains, 12))
     returns = discounted_sum([step.rewards for step in steps], 0.99)[0]
     state = LOG.frames[LOG.frame_rows()[start[0]]].astype(np.float64)
     mean, scale = (
@@ -197,11 +188,9 @@ def after_a_fall(model: TransitionModel, data: LaneData) -> tuple[float, float]:
     """Mean reward before and well after leaning over, under a policy that keeps pushing."""
     machine = ModelEnvironment(model, RULE, data.frame_scaling, CPU)
     start = torch.arange(5, data.counts[0], 37)[None]
-    history, recorded = data.recorded(start, model.memory)
+    past = data.start_states(start, model.memory)
     with torch.no_grad():
-        steps = list(
-            machine.unroll(history, lambda s: torch.ones(*s.shape[:2], 2), 15, recorded=recorded)
-        )
+        steps = list(machine.unroll(*past, lambda s: torch.ones(*s.shape[:2], 2), 15))
     scaling = data.frame_scaling
     tilt = (
         torch.stack([s.frames[0, :, 0] for s in steps]) * scaling.scale[0, 0] + scaling.mean[0, 0]

@@ -1,4 +1,4 @@
-"""The datasets: names and kinds; the sixteen industrial ones: cards, streams, performance."""
+"""Sources of datasets: their kinds; industrial industrial ones: cards, streams, performance."""
 
 import dataclasses
 import math
@@ -9,33 +9,25 @@ import pytest
 from components.data.controllers.industrial import CONTROLLERS
 from components.data.history import gather_history
 from components.data.returns import window_returns
-from components.data.sources.catalogue import DATASETS, generate, spec_kind
-from components.data.sources.industrial import INDUSTRIAL_DATASETS, IndustrialSpec
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.robots import RobotSpec
+from components.data.sources.source import DatasetSource, generate, source_kind
+from components.data.sources.stored_log import StoredLog
 
 
-def test_names_are_the_sixteen_of_the_thesis() -> None:
-    tenths = ("0.0", "0.2", "0.4", "0.6", "0.8")
-    expected = {f"{name}-{t}" for name in ("bad", "mediocre", "optimized") for t in tenths}
-    assert set(INDUSTRIAL_DATASETS) == expected | {"mediocre-1.0"}
-    for name, spec in INDUSTRIAL_DATASETS.items():
-        assert spec.name == name == f"{spec.controller}-{spec.epsilon}"
-        assert (spec.setpoint, spec.trajectories, spec.steps) == (70.0, 100, 1000)
-
-
-def test_every_dataset_is_known_by_its_fields_alone() -> None:
-    assert len(DATASETS) == 19
-    for name, spec in DATASETS.items():
-        fields = dataclasses.asdict(spec)
-        assert spec_kind(fields)(**fields) == spec
-        assert spec.name == name
-        assert spec.environment.startswith("proximity/")
+@pytest.mark.parametrize(
+    "source",
+    [IndustrialSpec("bad-0.2", "bad", 0.2), RobotSpec("hopper", "hopper"), StoredLog("mine", "")],
+)
+def test_every_source_is_known_by_its_fields_alone(source: DatasetSource) -> None:
+    assert source_kind(source.identity)(**source.identity) == source
 
 
 @pytest.mark.parametrize(
     ("name", "published"), [("bad-0.0", -326.8), ("mediocre-0.0", -78.3), ("optimized-0.0", -59.7)]
 )
 def test_performance_on_the_card(name: str, published: float) -> None:
-    spec = dataclasses.replace(DATASETS[name], steps=150)
+    spec = IndustrialSpec(name, name.split("-")[0], 0.0, steps=150)
     dataset = generate(spec, seed=0)
     card = dataset.card
     returns = window_returns(dataset.rewards.reshape(100, 150), 0.97, 100)
@@ -49,7 +41,7 @@ def test_performance_on_the_card(name: str, published: float) -> None:
 
 
 def test_short_trajectories_say_so_on_their_card() -> None:
-    card = generate(dataclasses.replace(DATASETS["bad-0.2"], trajectories=2, steps=7), 0).card
+    card = generate(IndustrialSpec("bad-0.2", "bad", 0.2, trajectories=2, steps=7), 0).card
     assert (card.return_steps, card.steps, card.trajectories) == (7, 7, 2)
 
 
@@ -72,7 +64,7 @@ def test_exploration_happens_at_the_named_rate() -> None:
 
 
 def test_stream_depends_on_name_and_seed_alone() -> None:
-    spec = dataclasses.replace(DATASETS["mediocre-0.2"], trajectories=2, steps=50)
+    spec = IndustrialSpec("mediocre-0.2", "mediocre", 0.2, trajectories=2, steps=50)
     digest = generate(spec, 0).card.digest
     np.random.seed(7)  # noqa: NPY002 - the global state must not matter
     assert generate(spec, 0).card.digest == digest
@@ -93,6 +85,6 @@ def test_stream_depends_on_name_and_seed_alone() -> None:
 )
 def test_impossible_specifications_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        dataclasses.replace(DATASETS["bad-0.0"], **change)
+        IndustrialSpec(**{"name": "bad-0.0", "controller": "bad", "epsilon": 0.0, **change})
     with pytest.raises(ValueError, match="seed is -1"):
-        generate(DATASETS["bad-0.0"], -1)
+        generate(IndustrialSpec("bad-0.0", "bad", 0.0), -1)

@@ -1,0 +1,104 @@
+"""Logs that lie in a folder already, such as those of a machine of one's own, without a simulator.
+
+The folder is one that `OfflineDataset.write` has filled, with a card as :func:`.assembly.assemble`
+makes it. What is known of the dataset is read off that card.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from components.data.dataset import DatasetCard, OfflineDataset
+
+__all__ = ["StoredLog"]
+
+
+@dataclass(frozen=True)
+class StoredLog:
+    """A stored log and the name under which it is benchmarked.
+
+    Attributes:
+        name: of the dataset.
+        log: the folder.
+    """
+
+    name: str
+    log: str
+
+    @property
+    def folder(self) -> Path:
+        """Where the log lies."""
+        return Path(self.log)
+
+    @cached_property
+    def card(self) -> DatasetCard:
+        """As it was stored; read when it is first asked for: a log that nobody wants may be away.
+
+        Raises:
+            FileNotFoundError: there is no log.
+            ValueError: its card cannot be read.
+        """
+        return self._opened(check=False).card
+
+    def _opened(self, *, check: bool) -> OfflineDataset:
+        try:
+            return OfflineDataset.open(self.folder, check=check)
+        except (FileNotFoundError, ValueError) as error:
+            reason = str(error).rstrip(".").replace("generate the dataset again", "store it again")
+            raise type(error)(
+                f"{reason}, or correct `log` in conf/dataset/{self.name}.yaml."
+            ) from error
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """Its name alone: where the log lies changes nothing, what it holds is an ingredient."""
+        return {"name": self.name, "log": ""}
+
+    @property
+    def ingredients(self) -> Mapping[str, str]:
+        """Digests of the arrays and of the card.
+
+        Raises:
+            FileNotFoundError: there is no log.
+            ValueError: its card cannot be read.
+        """
+        card = hashlib.sha256(self.card.to_json().encode()).hexdigest()
+        return {"log": self.card.digest, "card": card}
+
+    @property
+    def environment(self) -> None:
+        """There is no system."""
+        return None
+
+    @property
+    def environment_parameters(self) -> Mapping[str, Any]:
+        """None."""
+        return {}
+
+    @property
+    def discount(self) -> float:
+        """Of the returns on the card."""
+        return self.card.discount
+
+    @property
+    def history(self) -> int:
+        """Frames in an observation."""
+        return self.card.history
+
+    @property
+    def steps(self) -> int:
+        """Of the longest episode."""
+        return self.card.steps
+
+    def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
+        """Open the log, under the name it has here; its bytes are checked, the seed has no say.
+
+        Raises:
+            FileNotFoundError: there is no log, or one of its files is missing.
+            ValueError: it is damaged.
+        """
+        stored = self._opened(check=True)
+        return replace(stored, card=replace(stored.card, name=self.name))

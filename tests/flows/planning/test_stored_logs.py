@@ -1,0 +1,151 @@
+"""Datasets without a system: their plans end at the policies, and their runs too."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from components.data.dataset import OfflineDataset
+from components.policies.policy import Policy
+from flows import full_benchmark
+from flows.configuration import composition, files, schema
+from flows.configuration.settings import Settings, SettingsError, load_settings
+from flows.pipeline.plan import Plan
+from flows.planning.benchmark import benchmark_plan, data_plan
+from tests.components.synthetic import make_log
+from tests.flows.grid import finished
+
+LOG = make_log()
+WORDS = ("profile=smoke", "datasets=[my-log]", "seeds=[0,1]", "training.snapshots=2")
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A project folder whose conf/ names a log of its own."""
+    shutil.copytree(composition.CONF, tmp_path / "conf")
+    for module in (composition, files, schema):
+        monkeypatch.setattr(module, "CONF", tmp_path / "conf")
+    named = tmp_path / "conf" / "dataset" / "my-log.yaml"
+    named.write_text("my-log:\n  log: logs/mine\n", encoding="utf-8")
+    LOG.write(tmp_path / "logs" / "mine")
+    composition.base_layers.cache_clear()
+    yield tmp_path
+    composition.base_layers.cache_clear()
+
+
+def chosen(*words: str) -> Settings:
+    return load_settings([*WORDS, *words])
+
+
+def replaced(project: Path, log: OfflineDataset) -> None:
+    shutil.rmtree(project / "logs" / "mine")
+    log.write(project / "logs" / "mine")
+
+
+def data_key(plan: Plan) -> str:
+    [node] = [node for node in plan if node.component == "data_generation"]
+    return node.key
+
+
+def test_plans_end_at_the_policies(project: Path) -> None:
+    plan = benchmark_plan(chosen("algorithms=[bc,td3_bc]"))
+    assert plan.counts() == {"data_generation": 1, "policy_training": 4}
+    assert {node.name for node in plan if not plan.dependents(node.key)} == {
+        f"{name}/my-log/seed{seed}" for name in ("bc", "td3_bc") for seed in (0, 1)
+    }
+    both = benchmark_plan(chosen("algorithms=[bc]", "datasets=[my-log,bad-0.0]"))
+    judged = {node.tags["dataset"] for node in both if node.component == "evaluation"}
+    assert judged == {"bad-0.0"}
+
+
+def test_the_log_s_content_is_in_the_key_and_its_place_and_the_data_s_seed_are_not(
+    project: Path,
+) -> None:
+    before = data_key(data_plan(chosen()))
+    assert data_key(data_plan(chosen("data.seed=5"))) == before
+    (project / "logs" / "mine").rename(project / "elsewhere")
+    named = project / "conf" / "dataset" / "my-log.yaml"
+    named.write_text(f"my-log:\n  log: {project / 'elsewhere'}\n", encoding="utf-8")
+    composition.base_layers.cache_clear()
+    assert data_key(data_plan(chosen())) == before
+    (project / "elsewhere" / "card.json").unlink()
+    shutil.rmtree(project / "elsewhere")
+    dataclasses.replace(LOG, card=dataclasses.replace(LOG.card, discount=0.5)).write(
+        project / "elsewhere"
+    )
+    assert data_key(data_plan(chosen())) != before
+
+
+def test_the_log_is_stored_like_any_dataset_and_learned_from(project: Path) -> None:
+    plan = benchmark_plan(chosen("algorithms=[bc]", "seeds=[0]"))
+    store = finished(plan, project / "store")
+    for node in plan:
+        folder = store.path(node.key)
+        if node.component == "data_generation":
+            made = OfflineDataset.open(folder / "dataset")
+            assert made.card == dataclasses.replace(LOG.card, name="my-log")
+            np.testing.assert_array_equal(made.actions, LOG.actions)
+            described = json.loads((folder / "node.json").read_text(encoding="utf-8"))
+            assert str(project) not in json.dumps(described["config"])
+        else:
+            policies = sorted(path.parent for path in folder.rglob("policy.json"))
+            assert policies
+            assert Policy.load(policies[0]).card.history == LOG.card.history
+
+
+def test_the_door_ends_well_and_says_that_nothing_judges(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("algorithms=[bc]", "runner.executor=serial", f"store={project / 'store'}")
+    assert full_benchmark._run(chosen(*words)) == 0
+    said = "my-log comes with no system to evaluate on, so its policies are stored and not judged."
+    assert f"Note: {said}" in capsys.readouterr().out
+    [report] = (project / "store" / "reports").glob("*/results.md")
+    assert f"- {said}" in report.read_text(encoding="utf-8")
+
+
+def test_a_path_that_leads_nowhere_ends_in_one_sentence(project: Path) -> None:
+    shutil.rmtree(project / "logs" / "mine")
+    with pytest.raises(SettingsError, match=r"^my-log: There is no dataset in .*my-log\.yaml\.$"):
+        benchmark_plan(chosen("algorithms=[bc]"))
+    assert benchmark_plan(chosen("algorithms=[bc]", "datasets=[bad-0.0]")).counts()["evaluation"]
+
+
+def test_a_damaged_log_ends_in_one_sentence(project: Path) -> None:
+    (project / "logs" / "mine" / "rewards.npy").unlink()
+    with pytest.raises(SettingsError, match=r"^my-log: .*rewards\.npy is missing.*\.yaml\.$"):
+        benchmark_plan(chosen("algorithms=[bc]"))
+
+
+def test_model_based_learners_need_the_card_to_tell_the_dynamics(project: Path) -> None:
+    bare = dataclasses.replace(LOG, card=dataclasses.replace(LOG.card, dynamics={}))
+    replaced(project, bare)
+    assert benchmark_plan(chosen("algorithms=[bc]")).counts()["policy_training"] == 2
+    with pytest.raises(SettingsError, match=r"^my-log: .* lacks 'known' .*no transition model\.$"):
+        benchmark_plan(chosen("algorithms=[bc,lion]"))
+
+
+def test_model_based_learners_need_episodes_as_long_as_a_window(project: Path) -> None:
+    words = ("algorithms=[lion]", "model.recurrent_ensemble.horizon=500")
+    with pytest.raises(SettingsError, match=r"^my-log has 40 steps an episode, .* warm_up"):
+        benchmark_plan(chosen(*words))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [("log: 3", r"dataset\.my-log\.log=3"), ("log: logs/mine\n  epsilon: 0.1", "epsilon")],
+)
+def test_wrong_files_of_logs_are_refused(project: Path, line: str, message: str) -> None:
+    named = project / "conf" / "dataset" / "my-log.yaml"
+    named.write_text(f"my-log:\n  {line}\n", encoding="utf-8")
+    composition.base_layers.cache_clear()
+    with pytest.raises(SettingsError, match=message):
+        chosen()
+
+
+def test_all_datasets_are_still_those_that_are_generated() -> None:
+    assert len(load_settings([]).datasets) == 19
