@@ -87,7 +87,7 @@ class Settings(Strict):
     model_words: dict[str, str]
     store: Path
     dry_run: bool
-    dataset: dict[str, IndustrialSpec | RobotSpec]
+    dataset: dict[str, IndustrialSpec | RobotSpec | StoredLog]
     algorithm: dict[str, Any]
     model: dict[str, Any]
     special: dict[str, dict[str, dict[str, Any]]]
