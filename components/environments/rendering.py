@@ -120,6 +120,7 @@ def film(
     )
     try:
         per_second = int(robot.unwrapped.metadata["render_fps"])
+        every = max(1, per_second // FRAMES_PER_SECOND)
         frame, _ = robot.reset(seed=seed)
         frames, taken, reward = FrameHistory(frame[None], history), 0, 0.0
         draw(_picture(robot))
@@ -128,7 +129,7 @@ def film(
             frame, earned, fell, late, _ = robot.step(act(frames.window))
             frames.push(frame[None])
             taken, reward, ended = taken + 1, reward + float(earned), fell or late
-            if ended or taken % (per_second // FRAMES_PER_SECOND) == 0:
+            if ended or taken % every == 0:
                 draw(_picture(robot))
     finally:
         robot.close()

@@ -1,5 +1,6 @@
 """Exchange with Minari: alignment, names, other tools' view, and the way back."""
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -15,7 +16,7 @@ from components.data.sources.robots import RobotSpec
 from components.data.sources.source import generate
 from components.environments.mujoco.specifications import SWIMMER
 from tests.components.data.sources.toy_robot import toy_expert
-from tests.components.synthetic import relabelled
+from tests.components.synthetic import make_log, relabelled
 
 
 @pytest.fixture(scope="module")
@@ -169,3 +170,15 @@ def test_import_refuses_what_it_cannot_trust(dataset: OfflineDataset, root: Path
     metadata.write_text(json.dumps(values))
     with pytest.raises(ValueError, match="no dataset card"):
         import_minari(name, root)
+
+
+def test_a_log_without_a_known_system_comes_with_its_spaces(tmp_path: Path) -> None:
+    log = make_log()
+    card = dataclasses.replace(log.card, name="plant", environment="a plant", dynamics={})
+    log = dataclasses.replace(log, card=card)
+    written = minari.MinariDataset(tmp_path / export_minari(log, tmp_path) / "data")
+    assert written.observation_space.shape == (6,)
+    assert written.action_space.shape == (3,)
+    again = import_minari(minari_id("plant"), tmp_path)
+    assert again.card == card
+    np.testing.assert_array_equal(again.frames, log.frames)
