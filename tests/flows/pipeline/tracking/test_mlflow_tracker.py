@@ -234,7 +234,7 @@ def test_store_that_cannot_be_reached_is_one_sentence(
     assert "\n" not in message
 
 
-@pytest.mark.slow
+@pytest.mark.slow(12)
 def test_server_keeps_the_runs_and_their_artifacts(
     bare: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
