@@ -217,6 +217,7 @@ def test_swarm_table() -> None:
     assert rows[0][-1] == "1.0"
 
 
+@pytest.mark.slow(2)
 def test_pipeline_table_and_that_it_leaves_a_tracking_server_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,16 +1,12 @@
 """A short real run on the Industrial Benchmark, judged on the real simulator."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from flows.configuration.settings import load_settings
-from flows.pipeline.files import read_json
-from flows.pipeline.plan import Plan
-from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
-from tests.flows.grid import finished
+from tests.flows.grid import finished, metrics
 
 WORDS = [
     "datasets=[bad-0.4]", "algorithms=[bc,wsbc]", "seeds=[0,1,2,3,4]", "data.trajectories=30",
@@ -20,16 +16,6 @@ WORDS = [
     "model.behaviour_policy.epochs=10", "model.recurrent_ensemble.updates=200",
     "model.recurrent_ensemble.members=2",
 ]  # fmt: skip
-
-
-def stored(plan: Plan, store: ArtifactStore, component: str, algorithm: str | None = None) -> Any:
-    """The metrics of the one node that is meant."""
-    [node] = [
-        node
-        for node in plan
-        if node.component == component and algorithm in (None, node.tags.get("algorithm"))
-    ]
-    return read_json(store.path(node.key) / "metrics.json")
 
 
 @pytest.mark.slow(25)
@@ -45,7 +31,7 @@ def test_a_swarm_on_a_bad_log_leaves_the_log_and_its_clone_far_behind(tmp_path: 
     """
     plan = benchmark_plan(load_settings(WORDS))
     store = finished(plan, tmp_path)
-    logged = stored(plan, store, "data_generation")["return/first_window_mean"]
-    clone = stored(plan, store, "aggregation", "bc")["mean"]
-    learned = stored(plan, store, "aggregation", "wsbc")["mean"]
+    logged = metrics(plan, store, "data_generation")["return/first_window_mean"]
+    clone = metrics(plan, store, "aggregation", "bc")["mean"]
+    learned = metrics(plan, store, "aggregation", "wsbc")["mean"]
     assert learned > max(logged, clone) + 50.0

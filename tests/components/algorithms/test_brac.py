@@ -265,6 +265,7 @@ def test_state_kept_while_cloning_continues_to_the_same_numbers() -> None:
             assert torch.equal(ours[name], value)
 
 
+@pytest.mark.slow(2)
 def test_cloning_comes_near_the_logged_density() -> None:
     """One operator with Gaussian deeds: tanh(N(-0.5, 0.3^2)) in every state."""
     log = make_log(episodes=20)

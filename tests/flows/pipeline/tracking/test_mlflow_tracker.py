@@ -130,6 +130,7 @@ def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
             assert (place / name).samefile(folder / name)
 
 
+@pytest.mark.slow(2)
 def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
     bare.mkdir()
     (bare / ".mlflow-young.db").write_bytes(b"half a database")
