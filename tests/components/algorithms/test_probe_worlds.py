@@ -49,7 +49,8 @@ def test_value_of_a_constant_reward(name: str, terminal: bool, value: float) -> 
     values = critics(batch.observations, batch.actions)
     # measured means 2.42 (BCQ) to 2.60 (DDPG) and 0.993 to 1.002; DDPG's actor seeks what the
     # critic overrates
-    assert values.mean().item() == pytest.approx(value, rel=0.06)
+    nearness = 0.03 if name == "td3_bc" else 0.06  # its means: 2.456 and 0.997
+    assert values.mean().item() == pytest.approx(value, rel=nearness)
     # measured root mean squares at most 0.17 and 0.05 (BCQ)
     assert (values - value).square().mean().sqrt().item() < 0.1 * value
 
