@@ -10,8 +10,14 @@ PEERS := .venv-peers
 export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
 
+# Two processes share the tests; those of one xdist_group stay together, and the longest start first.
+# A process that dies fails the run: started again, it would meet the same test for ever.
+TEST_WORKERS ?= 2
+PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadgroup \
+  --no-loadscope-reorder --max-worker-restart 0
+
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark data test test-fast lint format bench peers ui clean
+.PHONY: help setup benchmark data test test-fast test-all lint format bench peers ui clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -32,11 +38,14 @@ benchmark: $(READY) ## Run the quick benchmark: four datasets, a table in minute
 data: $(READY) ## Generate all datasets and export them for Minari
 	$(BIN)/python -m flows.generate_data
 
-test: $(READY) ## Run the whole test suite
-	$(BIN)/python -m pytest
+test: $(READY) ## Run the test suite, as CI does: minutes on two cores
+	$(PYTEST) -m 'not exhaustive'
 
-test-fast: $(READY) ## Run the tests that take seconds
-	$(BIN)/python -m pytest -m 'not slow'
+test-fast: $(READY) ## Run the tests that take seconds each, at least one per room
+	$(PYTEST) -m 'not slow and not exhaustive'
+
+test-all: $(READY) ## Run the suite and the further cases that CI leaves out
+	$(PYTEST)
 
 lint: $(READY) ## Check style, types and the walls between the rooms
 	$(BIN)/ruff check .

@@ -217,6 +217,7 @@ def test_swarm_table() -> None:
     assert rows[0][-1] == "1.0"
 
 
+@pytest.mark.slow(2)
 def test_pipeline_table_and_that_it_leaves_a_tracking_server_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -279,6 +280,7 @@ def test_the_clock_runs_past_the_warm_up_and_starts_with_a_draw_of_random_number
     assert steps[0] >= longest * config.updates
 
 
+@pytest.mark.slow(6)
 def test_our_side_is_measured_in_a_process_of_its_own(log: OfflineDataset, tmp_path: Path) -> None:
     log.write(tmp_path / "log")
     command = model_free.own_command(tmp_path / "log", "ddpg", lanes=2, updates=1, threads=1)

@@ -1,16 +1,14 @@
 """The notebooks: kept without outputs, free of logic, and running on a real sweep's store."""
 
 import ast
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
 
-ROOT = Path(__file__).parents[1]
+from tests.conftest import ROOT, SmokeRun
+
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LOGIC = (ast.FunctionDef, ast.ClassDef, ast.If, ast.While, ast.Try, ast.Lambda)
 
@@ -38,27 +36,12 @@ def test_notebooks_hold_no_logic(path: Path) -> None:
         assert not [n for n in ast.walk(ast.parse("\n".join(lines))) if isinstance(n, LOGIC)]
 
 
-@pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a smoke run leaves behind."""
-    store = tmp_path_factory.mktemp("smoke") / "mlruns"
-    words = ["profile=smoke", "runner.executor=serial", "sweep=smoke", f"store={store}"]
-    environment = {k: v for k, v in os.environ.items() if k != "MLFLOW_TRACKING_URI"}
-    subprocess.run(
-        [sys.executable, "-m", "flows.full_benchmark", *words],
-        cwd=ROOT,
-        env=environment,
-        check=True,
-        capture_output=True,
-    )
-    return store
-
-
-@pytest.mark.slow
+@pytest.mark.slow(20)
+@pytest.mark.xdist_group("ray")
 def test_results_notebook_shows_table_and_figure(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    smoke: SmokeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("PROXIMITY_STORE", str(store))
+    monkeypatch.setenv("PROXIMITY_STORE", str(smoke.store))
     notebook = nbformat.read(ROOT / "notebooks" / "results.ipynb", as_version=4)
     NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
@@ -67,7 +50,9 @@ def test_results_notebook_shows_table_and_figure(
     shown = [out.data for out in outputs if "data" in out]
     texts = [data["text/markdown"] for data in shown if "text/markdown" in data]
     assert texts[0] == "Sweep **smoke**"
-    assert texts[-1] == (store / "reports" / "smoke" / "results.md").read_text(encoding="utf-8")
+    assert texts[-1] == (smoke.store / "reports" / "smoke" / "results.md").read_text(
+        encoding="utf-8"
+    )
     beside, over_proximity = [data["text/html"] for data in shown if "text/html" in data]
     assert "td3_bc" in beside
     assert "-77.7" in beside  # the thesis's TD3+BC on mediocre-0.2

@@ -1,7 +1,9 @@
 """Plans computed group by group in this process, without Ray and MLflow."""
 
 from pathlib import Path
+from typing import Any
 
+from components.core.files import read_json
 from flows.pipeline.plan import Plan
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
@@ -15,3 +17,13 @@ def finished(plan: Plan, root: Path, device: str = "cpu") -> ArtifactStore:
         result = run_group(GroupCall.of(group.name, store.root, group.nodes, device))
         assert not result.failed, "\n".join(result.failed.values())
     return store
+
+
+def metrics(plan: Plan, store: ArtifactStore, component: str, algorithm: str | None = None) -> Any:
+    """What the one such node of a finished plan has measured."""
+    [node] = [
+        node
+        for node in plan
+        if node.component == component and algorithm in (None, node.tags.get("algorithm"))
+    ]
+    return read_json(store.path(node.key) / "metrics.json")

@@ -71,6 +71,7 @@ def door(store: ArtifactStore, monkeypatch: pytest.MonkeyPatch, *words: str) -> 
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+@pytest.mark.slow(2)
 def test_a_stored_policy_is_filmed(
     suffix: str,
     store: ArtifactStore,

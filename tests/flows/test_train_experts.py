@@ -72,6 +72,7 @@ def test_seeds_of_a_robot_are_lanes_and_one_of_them_is_chosen() -> None:
             assert node.config["seeds"] == [1, 3]
 
 
+@pytest.mark.slow(3)
 def test_a_training_is_known_by_its_own_settings_alone() -> None:
     def keys(*words: str) -> set[str]:
         return {n.key for n in plan_of(*words) if n.component == "expert_training"}
@@ -137,6 +138,7 @@ def test_the_seed_with_the_best_evaluation_is_judged_anew(tmp_path: Path) -> Non
     assert metrics["return_mean"] == card.return_mean
 
 
+@pytest.mark.slow(2)
 def test_a_killed_training_is_continued_in_its_work_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,6 +160,7 @@ def test_a_killed_training_is_continued_in_its_work_folder(
         assert weights[0] == weights[1]
 
 
+@pytest.mark.slow(4)
 def test_the_door_trains_remembers_and_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

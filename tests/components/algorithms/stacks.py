@@ -1,9 +1,10 @@
 """Small learners of every algorithm on the small machine."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
@@ -78,6 +79,15 @@ SMALL: dict[str, dict[str, Any]] = {
         "real_ratio": 0.25,
     },
 }
+
+# Those whose update takes milliseconds even when small; the quick tests leave them to the others.
+HEAVY = ("bcq", "bear", "brac", "cql", "lion", "model_based", "moose", "mopo", "morel", "wsbc")
+
+
+def graded(names: Iterable[str], seconds: float) -> list[Any]:
+    """Names of learners as parameters, of which the heavy ones are slow."""
+    slow = pytest.mark.slow(seconds)
+    return [pytest.param(name, marks=slow) if name in HEAVY else name for name in names]
 
 
 def config(algorithm: str, **changes: Any) -> Any:

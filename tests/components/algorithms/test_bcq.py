@@ -229,6 +229,7 @@ def two_ways_to_act() -> OfflineDataset:
     return relabelled(log, actions=actions, rewards=actions[:, 0].copy(), terminated=ends)
 
 
+@pytest.mark.slow(2)
 def test_it_chooses_the_better_of_the_logged_ways_and_goes_no_further() -> None:
     log = two_ways_to_act()
     sizes = {"hidden": (32,), "vae_hidden": (32,), "batch": 64, "deployed_actions": 20}

@@ -325,6 +325,7 @@ def test_the_autoencoder_learns_as_if_it_were_alone() -> None:
         assert torch.equal(ours, theirs)
 
 
+@pytest.mark.slow(2)
 def test_matching_alone_brings_the_actor_to_the_log() -> None:
     log = make_log(episodes=20, explore=1.0)
     actions = (0.1 * log.actions + np.array([0.6, -0.6, 0.0])).astype(np.float32)

@@ -162,6 +162,7 @@ def distance(made: object, proximity: float) -> float:
     return float(away.norm(dim=-1).mean())
 
 
+@pytest.mark.slow(2)
 def test_at_lambda_zero_it_clones_the_behaviour_policy() -> None:
     made = learner("lion", [LOG], [0], learning_rate=5e-3, trajectories=20, hidden=(16,), eta=0.0)
     fix_proximity(made, 0.0)
@@ -184,6 +185,7 @@ def test_at_lambda_one_it_follows_the_virtual_return_alone() -> None:
         torch.testing.assert_close(m["policy/loss"], expected)
 
 
+@pytest.mark.slow(2)
 def test_proximity_steers_one_policy() -> None:
     """After ordinary training, lambda 0 stays closer to the behaviour than lambda 1."""
     made = learner("lion", [LOG], [0], learning_rate=5e-3, trajectories=20, hidden=(16,), eta=0.0)

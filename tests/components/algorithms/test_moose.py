@@ -299,6 +299,7 @@ def test_without_the_penalty_the_return_is_climbed() -> None:
     assert (chosen_by(made).mean(axis=0) < -0.7).all()
 
 
+@pytest.mark.slow(3)
 def test_the_penalty_alone_draws_the_policy_to_the_logged_actions() -> None:
     log = make_log(episodes=20, steps=60, explore=0.0)
     settings = ActionVAEConfig(hidden=(32, 32), epochs=30, batch=64, learning_rate=3e-3)

@@ -143,6 +143,7 @@ def gain_after(penalty: float) -> float:
     return float(history[:, 0, 2].mean())
 
 
+@pytest.mark.slow(3)
 def test_the_penalty_keeps_the_policy_where_the_model_is_sure() -> None:
     """Low gains pay: the policy goes there, unless doubt costs more."""
     home = float(LOG.frames[:, 2].mean())

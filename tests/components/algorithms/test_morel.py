@@ -214,6 +214,7 @@ def test_everything_or_nothing_halts(beta: float, share: float, steps: float, kn
             assert metrics["actor/virtual_return"].min() > 0.4 * HALT_RETURN
 
 
+@pytest.mark.slow(2)
 def test_the_baseline_learns_what_halt_pays() -> None:
     made = learner("morel", [LOG], [0], beta=-1e6, learning_rate=1e-2, cloning=0)
     metrics = run(made, 150)
@@ -249,6 +250,7 @@ def shifts(made: Any) -> torch.Tensor:
     return rolled.states.observations(last)[0, :, 3]
 
 
+@pytest.mark.slow(2)
 def test_it_finds_the_known_optimum_and_halt_holds_it_in_the_known() -> None:
     """Consumption falls with the shift, so that the best action lowers it in every state.
 

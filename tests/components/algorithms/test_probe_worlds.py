@@ -8,7 +8,7 @@ import torch
 
 from components.algorithms import ALGORITHMS
 from components.data.dataset import OfflineDataset
-from tests.components.algorithms.stacks import learner, run
+from tests.components.algorithms.stacks import graded, learner, run
 from tests.components.synthetic import make_log, policy_card, relabelled
 
 # Large rates, since training is short.
@@ -35,7 +35,7 @@ def trained(name: str, log: OfflineDataset, updates: int, **changes: Any) -> Any
 
 
 @pytest.mark.parametrize(("terminal", "value"), [(False, 1.0 / (1.0 - 0.6)), (True, 1.0)])
-@pytest.mark.parametrize("name", CRITIC_BASED)
+@pytest.mark.parametrize("name", graded(CRITIC_BASED, 3))
 def test_value_of_a_constant_reward(name: str, terminal: bool, value: float) -> None:
     """Q = r / (1 - gamma) where nothing ends, r where every step does."""
     log = make_log()
@@ -49,7 +49,8 @@ def test_value_of_a_constant_reward(name: str, terminal: bool, value: float) -> 
     values = critics(batch.observations, batch.actions)
     # measured means 2.42 (BCQ) to 2.60 (DDPG) and 0.993 to 1.002; DDPG's actor seeks what the
     # critic overrates
-    assert values.mean().item() == pytest.approx(value, rel=0.06)
+    nearness = 0.03 if name == "td3_bc" else 0.06  # its means: 2.456 and 0.997
+    assert values.mean().item() == pytest.approx(value, rel=nearness)
     # measured root mean squares at most 0.17 and 0.05 (BCQ)
     assert (values - value).square().mean().sqrt().item() < 0.1 * value
 
@@ -102,6 +103,7 @@ CONSTRAINED = [
 ]
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize(("name", "near"), CLONES + CONSTRAINED)
 def test_the_others_stay_near_the_data(name: str, near: float) -> None:
     assert bandit_actions(name).square().mean().sqrt() < near
@@ -116,6 +118,7 @@ UNTIED: list[tuple[str, dict[str, Any], float]] = [
 ]
 
 
+@pytest.mark.slow(2)
 @pytest.mark.parametrize(("name", "changes", "away"), UNTIED)
 def test_it_is_the_constraint_that_holds_them(
     name: str, changes: dict[str, Any], away: float

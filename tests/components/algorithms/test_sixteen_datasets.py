@@ -64,6 +64,7 @@ def test_logs_sit_on_the_bounds(logs: list[OfflineDataset]) -> None:
 
 
 @pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.slow(2)
 def test_everything_stays_finite(name: str, logs: list[OfflineDataset]) -> None:
     made, metrics = trained(name, logs)
     names = np.array([log.card.name for log in logs])
@@ -94,6 +95,7 @@ def test_multiplier_of_bear_stays_between_its_bounds(logs: list[OfflineDataset])
 
 
 @pytest.mark.parametrize("operator", ["bad-0.0", "mediocre-0.0", "optimized-0.0"])
+@pytest.mark.slow(2)
 def test_bear_comes_nearer_to_an_operator_at_the_bounds(
     operator: str, logs: list[OfflineDataset]
 ) -> None:

@@ -18,6 +18,7 @@ def library() -> str:
         pytest.skip(str(error))
 
 
+@pytest.mark.slow(2)
 def test_a_film_shows_the_episode_until_the_fall(
     library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,6 +48,7 @@ def test_a_film_shows_the_episode_until_the_fall(
     assert (pictures[0] != pictures[-1]).any()
 
 
+@pytest.mark.slow(2)
 def test_a_swimmer_is_filmed_for_as_long_as_asked(
     library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

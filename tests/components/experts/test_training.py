@@ -38,6 +38,7 @@ def weights(policy: Any) -> list[torch.Tensor]:
     return [tensor for layer in policy.layers for tensor in layer]
 
 
+@pytest.mark.slow(2)
 def test_a_killed_training_goes_on_to_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -93,6 +94,7 @@ def test_the_best_evaluation_is_the_policys(tmp_path: Path) -> None:
         assert rewards.sum(axis=1).mean() == pytest.approx(reached[lane], rel=1e-5)  # float32
 
 
+@pytest.mark.slow(4)
 def test_it_learns_to_stand_and_to_run(tmp_path: Path) -> None:
     config = dataclasses.replace(
         TINY, steps=1400, random_steps=200, horizon=40, evaluate_every=100, hidden=(32, 32)

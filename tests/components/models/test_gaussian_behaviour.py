@@ -54,6 +54,7 @@ def equal(ours: GaussianBehaviour, theirs: GaussianBehaviour) -> bool:
     return ours.mean.card == theirs.mean.card and all(torch.equal(a, b) for a, b in pairs)
 
 
+@pytest.mark.slow(2)
 def test_mean_and_spread_of_a_known_operator_are_found() -> None:
     """An operator whose hand shakes the more the higher the velocity."""
     log = make_log(episodes=40, steps=50, explore=1.0)

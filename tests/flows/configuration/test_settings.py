@@ -246,6 +246,7 @@ def test_penalties_are_checked_and_become_variants() -> None:
         load_settings(["algorithms=[mopo]", "mopo_penalties=[-1]"])
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize(
     ("word", "code", "says"),
     [

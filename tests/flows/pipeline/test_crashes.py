@@ -14,13 +14,14 @@ def points(what: str, folder: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow(12)
 def test_driver_killed_at_every_change_of_the_disk(tmp_path: Path) -> None:
     *problems, last = points("disk", tmp_path)
     assert problems == []
     assert int(last.removeprefix("points: ")) > 60  # fewer would mean the hook sees nothing
 
 
-@pytest.mark.slow
+@pytest.mark.slow(25)
 def test_driver_killed_at_every_call_of_mlflow(tmp_path: Path) -> None:
     *problems, last = points("tracker", tmp_path)
     assert problems == []

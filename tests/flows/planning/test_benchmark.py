@@ -1,5 +1,6 @@
 """The plan: keys follow what decides a result, and nothing else."""
 
+import functools
 from dataclasses import replace
 
 import pytest
@@ -20,6 +21,7 @@ EVERY_KIND = {
 }  # fmt: skip
 
 
+@functools.cache  # reading settings takes half a second; a plan is never changed
 def plan(*words: str) -> Plan:
     return benchmark_plan(load_settings([*BASE, *words]))
 

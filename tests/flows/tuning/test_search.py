@@ -221,13 +221,14 @@ def points(what: str, folder: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow(4)
 def test_driver_killed_after_ask_in_a_fit_and_before_tell(tmp_path: Path) -> None:
     *problems, last = points("calls", tmp_path)
     assert problems == []
     assert last == "points: 7"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(27)
 def test_driver_killed_at_every_change_of_the_disk(tmp_path: Path) -> None:
     *problems, last = points("disk", tmp_path)
     assert problems == []

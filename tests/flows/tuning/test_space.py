@@ -1,6 +1,7 @@
 """Every model can be searched, and whatever is drawn is a valid configuration."""
 
 import dataclasses
+import functools
 
 import optuna
 import pytest
@@ -10,6 +11,7 @@ from flows.configuration.settings import load_settings
 from flows.tuning import space as spaces
 from flows.tuning.space import SPACES, Choice, Range, RangeOrZero, Whole
 
+settings_of = functools.cache(lambda profile: load_settings([f"profile={profile}"]))
 NEVER = {"members", "elites", "holdout", "horizon", "epochs", "updates", "validate_every",
          "patience", "improvement", "action_clip", "networks", "memoryless"}  # fmt: skip
 
@@ -44,7 +46,7 @@ def test_defaults_lie_inside(model: str) -> None:
 @pytest.mark.parametrize("profile", ["paper", "quick", "smoke"])
 @pytest.mark.parametrize("model", SPACES)
 def test_whatever_is_drawn_is_valid(model: str, profile: str) -> None:
-    start = load_settings([f"profile={profile}"]).model[model]
+    start = settings_of(profile).model[model]
     space = spaces.distributions(SPACES[model], start)
     sampler = optuna.samplers.RandomSampler(seed=0)
     study = optuna.create_study(sampler=sampler)

@@ -103,6 +103,7 @@ def test_the_first_trial_is_what_a_benchmark_without_tuning_fits(home: Path) -> 
         assert study.start_trial().user_attrs["key"] == default[model].key
 
 
+@pytest.mark.slow(2)
 def test_a_benchmark_uses_the_winners_without_fitting_again(
     home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +128,7 @@ def test_models_without_a_file_keep_their_default(home: Path) -> None:
     assert choice.configs["mediocre-0.2", "action_vae"] == settings.model["action_vae"]
 
 
+@pytest.mark.slow(2)
 def test_tuned_and_per_seed_go_together(home: Path) -> None:
     plan = benchmark_plan(settings_of(home, "models.per_seed=true", "seeds=[0,5]"))
     tuned = {model: node.config["settings"] for model, node in fits(settings_of(home)).items()}
@@ -161,6 +163,7 @@ def test_every_trial_is_a_run_below_the_search(home: Path) -> None:
         assert lowest[-1].value == study.best().value
 
 
+@pytest.mark.slow(2)
 def test_the_same_command_again_changes_nothing(
     home: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -248,6 +251,7 @@ def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
         ({"settings.batch": True}, "settings.batch=true: Input should be no boolean"),
     ],
 )
+@pytest.mark.slow(1)
 def test_a_wrong_file_is_named_with_its_remedy(
     change: Any, says: str, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,6 +287,7 @@ def test_other_data_is_not_what_was_tuned_on(home: Path) -> None:
         benchmark_plan(settings_of(home, "data.seed=1"))
 
 
+@pytest.mark.slow(2)
 def test_nothing_tuned_at_all_is_an_error(home: Path, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="no file for behaviour_policy, recurrent_ensemble on"):
         benchmark_plan(settings_of(home, f"models.folder={tmp_path}"))
@@ -318,6 +323,7 @@ def test_wrong_words_end_in_one_sentence(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow(2)
 def test_pruned_failed_and_reused_trials_are_runs_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -26,6 +26,7 @@ FORBIDDEN = (
 )  # fmt: skip
 
 
+@pytest.mark.slow(2)
 def test_search_code_loads_no_environment_evaluation_or_algorithm() -> None:
     script = (
         "import pkgutil, sys, importlib, flows.tasks.model_fitting, flows.tuning\n"
@@ -42,6 +43,7 @@ def test_search_code_loads_no_environment_evaluation_or_algorithm() -> None:
     assert done.stdout.splitlines() == ["True True", "[]"]
 
 
+@pytest.mark.slow(2)
 def test_no_environment_is_stepped_during_a_search(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -178,6 +178,7 @@ def test_temperature_falls_on_wide_and_grows_on_narrow_policies() -> None:
 
 
 @pytest.mark.parametrize(("terminal", "value"), [(False, 1.0 / (1.0 - 0.6)), (True, 1.0)])
+@pytest.mark.slow(2)
 def test_value_of_a_constant_reward(terminal: bool, value: float) -> None:
     """Without a price of entropy: Q = r / (1 - gamma) where nothing ends, r where all does."""
     log = make_log()

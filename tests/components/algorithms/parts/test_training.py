@@ -1,5 +1,7 @@
 """Snapshots and resumption of policy training: interrupted equals uninterrupted, bit for bit."""
 
+import functools
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,14 +14,14 @@ from components.algorithms.parts.learner import PolicyLearner
 from components.algorithms.parts.training import snapshot_steps, train_policies
 from components.policies.policy import Policy
 from components.training.loop import Curves
-from tests.components.algorithms.stacks import learner
+from tests.components.algorithms.stacks import graded, learner
 from tests.components.interruption import KilledError, dying, lanes
 from tests.components.synthetic import make_log, policy_card
 
 LOGS = {"a": make_log("toy"), "b": make_log("toy"), "c": make_log("other", seed=3)}
 SEEDS = {"a": 0, "b": 1, "c": 0}
 UPDATES, SNAPSHOTS = 30, 5
-every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
+every_algorithm = pytest.mark.parametrize("name", graded(ALGORITHMS, 1))
 
 
 def train(
@@ -45,6 +47,13 @@ def train(
     )
 
 
+@functools.cache
+def uninterrupted(name: str) -> tuple[list[Policy], Curves]:
+    """What all interrupted runs of a learner must end with."""
+    with tempfile.TemporaryDirectory() as work:
+        return train(name, Path(work))
+
+
 def pretraining(name: str) -> int:
     """Updates before the budget, of learners that have some."""
     made: PolicyLearner = learner(name, [LOGS["a"]], [0])
@@ -60,8 +69,8 @@ def assert_same(ours: Sequence[Policy], theirs: Sequence[Policy]) -> None:
 
 
 @every_algorithm
-def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
-    policies, curves = train(name, tmp_path)
+def test_snapshots_are_kept_at_equal_spacing(name: str) -> None:
+    policies, curves = uninterrupted(name)
     assert [p.card.dataset for p in policies] == ["toy", "toy", "other"]
     steps = tuple(pretraining(name) + step for step in (6, 12, 18, 24, 30))
     assert [p.card.steps for p in policies] == [steps] * 3
@@ -76,13 +85,11 @@ def test_snapshots_are_kept_at_equal_spacing(name: str, tmp_path: Path) -> None:
 @every_algorithm
 @pytest.mark.parametrize("deaths", [[0], [1], [7], [13, 13], [5, 6, 29]])
 def test_interrupted_equals_uninterrupted(name: str, deaths: list[int], tmp_path: Path) -> None:
-    (tmp_path / "whole").mkdir()
-    (tmp_path / "work").mkdir()
-    expected, curves = train(name, tmp_path / "whole")
+    expected, curves = uninterrupted(name)
     for death in deaths:
         with pytest.raises(KilledError):
-            train(name, tmp_path / "work", death=death)
-    found, again = train(name, tmp_path / "work")
+            train(name, tmp_path, death=death)
+    found, again = train(name, tmp_path)
     assert_same(found, expected)
     assert lanes(again, 3) == lanes(curves, 3)
 
@@ -99,12 +106,10 @@ def test_progress_is_that_of_the_budget(name: str, tmp_path: Path) -> None:
 
 @every_algorithm
 def test_part_of_the_lanes_is_finished_without_the_rest(name: str, tmp_path: Path) -> None:
-    (tmp_path / "whole").mkdir()
-    (tmp_path / "work").mkdir()
-    expected, _ = train(name, tmp_path / "whole")
+    expected, _ = uninterrupted(name)
     with pytest.raises(KilledError):
-        train(name, tmp_path / "work", death=20)
-    found, curves = train(name, tmp_path / "work", "cb")
+        train(name, tmp_path, death=20)
+    found, curves = train(name, tmp_path, "cb")
     assert found[0].card == expected[2].card
     for ours, theirs in zip(found, (expected[2], expected[1]), strict=True):
         for (w, _), (v, _) in zip(ours.layers, theirs.layers, strict=True):
@@ -147,9 +152,7 @@ def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
     logs = [LOGS[member] for member in "abc"]
     made = learner("ddpg", logs, [0, 1, 0])
     untrained = made.policy(policy_card(logs[1])).layers[0][0][1].clone()
-    (tmp_path / "whole").mkdir()
-    expected, _ = train("ddpg", tmp_path / "whole")
-    (tmp_path / "work").mkdir()
+    expected, _ = uninterrupted("ddpg")
     policies, curves = train_policies(
         ALGORITHMS["ddpg"],
         Breaking(made, at),
@@ -157,7 +160,7 @@ def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
         list("abc"),
         updates=UPDATES,
         snapshots=SNAPSHOTS,
-        work=tmp_path / "work",
+        work=tmp_path,
         progress=lambda fraction: None,
     )
     assert_same([policies[0], policies[2]], [expected[0], expected[2]])

@@ -279,7 +279,10 @@ def test_impossible_specifications_are_refused(change: dict[str, object], messag
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_shipped_experts_log_the_same_bytes_on_more_threads(robot: str) -> None:
+def test_shipped_experts_log_the_same_bytes_on_more_threads(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robots, "_COPIES", 5)  # not 100, which would live 100,000 steps
     spec = RobotSpec(robot, robot, transitions=2000)
     digests = {spec.generate(0, threads).card.digest for threads in (1, 2)}
     assert len(digests) == 1

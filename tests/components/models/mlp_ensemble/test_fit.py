@@ -87,6 +87,7 @@ def judged(ensemble: MLPEnsemble, log: OfflineDataset, trained: int) -> tuple:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow(2)
 def test_the_machine_is_learned(kind: type[MLPEnsembleConfig]) -> None:
     log = make_log(episodes=10, steps=60)
     config = kind(hidden=(32,), epochs=60, batch=32, learning_rate=3e-3, schedule="cosine")
@@ -208,6 +209,7 @@ def test_the_target_form_is_chosen_by_held_out_data(better: str, outputs: Any) -
                 torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow(2)
 def test_gaussian_members_find_the_noise_of_the_machine() -> None:
     """Fatigue is as noisy everywhere, consumption the more the higher the velocity."""
 

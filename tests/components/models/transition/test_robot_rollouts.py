@@ -204,6 +204,7 @@ def after_a_fall(model: TransitionModel, data: LaneData) -> tuple[float, float]:
 LONGER = make_robot_log(episodes=120, steps=40)
 
 
+@pytest.mark.slow(2)
 def test_a_recurrent_ensemble_learns_the_robot_and_its_falls() -> None:
     config = RecurrentEnsembleConfig(
         members=2, networks="joint", target="change", hidden=24, warm_up=3, horizon=10, batch=64,
@@ -227,6 +228,7 @@ def test_a_recurrent_ensemble_learns_the_robot_and_its_falls() -> None:
         (GaussianEnsembleConfig, False),  # MOPO is told of falls
     ],
 )
+@pytest.mark.slow(2)
 def test_one_step_ensembles_learn_the_robot_and_its_falls(
     kind: type[MLPEnsembleConfig], learns_to_fall: bool
 ) -> None:

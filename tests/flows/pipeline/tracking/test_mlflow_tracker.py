@@ -132,6 +132,7 @@ def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
             assert (place / name).samefile(folder / name)
 
 
+@pytest.mark.slow(2)
 def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
     bare.mkdir()
     (bare / ".mlflow-young.db").write_bytes(b"half a database")
@@ -236,7 +237,7 @@ def test_store_that_cannot_be_reached_is_one_sentence(
     assert "\n" not in message
 
 
-@pytest.mark.slow
+@pytest.mark.slow(12)
 def test_server_keeps_the_runs_and_their_artifacts(
     bare: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
