@@ -8,7 +8,7 @@ from pathlib import Path
 
 from components.core.files import read_json, write_json
 from components.data.dataset import OfflineDataset
-from components.data.minari_exchange import export_minari, minari_id
+from components.data.sources.minari_exchange import export_minari, minari_id
 from flows.command_line import Metrics, main, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome

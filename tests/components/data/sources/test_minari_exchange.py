@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from components.data.dataset import OfflineDataset
-from components.data.minari_exchange import export_minari, import_minari, minari_id
 from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.minari_exchange import export_minari, import_minari, minari_id
 from components.data.sources.robots import RobotSpec
 from components.data.sources.source import generate
 from components.environments.mujoco.specifications import SWIMMER
