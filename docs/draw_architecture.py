@@ -8,15 +8,16 @@ networks, tasks may import networks, too.
 """
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "architecture.svg"
 DOORS = "flows"
 
-_WIDTH, _HEIGHT, _GAP, _RISE, _MARGIN = 132, 46, 34, 96, 24
+_WIDTH, _HEIGHT, _GAP, _LANE, _RISE, _MARGIN = 132, 46, 26, 6, 96, 24
 _COLOURS = {"components": ("#e8f0fa", "#3b6ea5"), "flows": ("#fbf0e2", "#b0722b")}
 
 _DIVIDED = ["components", "data"]
@@ -83,10 +84,7 @@ def _reach(edges: Edges, start: str) -> set[str]:
 
 
 def rows(edges: Edges) -> list[list[str]]:
-    """Rooms from the roof down: every room stands below all that import it, as high as it can.
-
-    In a row, rooms are in the order of the middle of their importers, so that arrows cross little.
-    """
+    """Rooms from the roof down: every room stands below all that import it, as high as it can."""
     importers = {name: [o for o in edges if name in edges[o]] for name in edges}
     depth: dict[str, int] = {}
 
@@ -98,11 +96,61 @@ def rows(edges: Edges) -> list[list[str]]:
     found: list[list[str]] = [[] for _ in range(1 + max(map(rank, edges)))]
     for name in sorted(edges):
         found[depth[name]].append(name)
-    place: dict[str, float] = {}
-    for row in found:
-        middle = {n: sum(place[o] for o in importers[n]) / max(1, len(importers[n])) for n in row}
-        row.sort(key=lambda name: (middle[name], name))
-        place |= {name: n - (len(row) - 1) / 2 for n, name in enumerate(row)}
+    return found
+
+
+def routes(floors: Sequence[Sequence[str]], edges: Edges) -> list[list[str]]:
+    """Every arrow as the places it passes, one a row: a room, gaps `from>to`, a room."""
+    floor = {name: n for n, row in enumerate(floors) for name in row}
+    return [
+        [name, *[f"{name}>{target}"] * (floor[target] - floor[name] - 1), target]
+        for name in sorted(edges)
+        for target in sorted(edges[name])
+    ]
+
+
+def arranged(floors: Sequence[Sequence[str]], paths: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Rooms and gaps of every row, ordered so that arrows cross little.
+
+    Each place goes to the middle of its neighbours in the row above, then of those below, in turn
+    (the barycentre method of Sugiyama, Tagawa and Toda, 1981).
+    """
+    start = {name: n for n, row in enumerate(floors) for name in row}
+    ordered = [list(row) for row in floors]
+    links: set[tuple[int, str, str]] = set()
+    for path in paths:
+        for n, (upper, lower) in enumerate(pairwise(path), start=start[path[0]]):
+            links.add((n, upper, lower))
+            if lower not in start and lower not in ordered[n + 1]:
+                ordered[n + 1].append(lower)
+    for sweep in range(24):
+        downwards = sweep % 2 == 0
+        for n in range(len(ordered)) if downwards else reversed(range(len(ordered))):
+            beside = n - 1 if downwards else n + 1
+            if not 0 <= beside < len(ordered):
+                continue
+            at = {name: x for name, x, _ in _placed(ordered[beside])}
+            middle = {name: x for name, x, _ in _placed(ordered[n])}
+            for name in ordered[n]:
+                near = [
+                    at[upper if downwards else lower]
+                    for row, upper, lower in links
+                    if row == min(n, beside) and name == (lower if downwards else upper)
+                ]
+                if near:
+                    middle[name] = sum(near) / len(near)
+            ordered[n].sort(key=lambda name, middle=middle: (middle[name], name))
+    return ordered
+
+
+def _placed(row: Sequence[str]) -> list[tuple[str, float, float]]:
+    """Name, middle and width of the places of a row, around 0."""
+    widths = [_LANE if ">" in name else _WIDTH for name in row]
+    left = -(sum(widths) + _GAP * (len(row) - 1)) / 2
+    found = []
+    for name, width in zip(row, widths, strict=True):
+        found.append((name, left + width / 2, width))
+        left += width + _GAP
     return found
 
 
@@ -110,26 +158,34 @@ def draw() -> str:
     """The picture as SVG text, the same for the same imports."""
     edges = without_implied(arrows())
     floors = rows(edges)
-    widest = max(len(row) for row in floors)
-    width = 2 * _MARGIN + widest * _WIDTH + (widest - 1) * _GAP
+    paths = routes(floors, edges)
+    ordered = arranged(floors, paths)
+    width = 2 * _MARGIN + max(2 * (_placed(row)[-1][1] + _WIDTH / 2) for row in ordered)
     height = 2 * _MARGIN + _HEIGHT + (len(floors) - 1) * _RISE
-    corner = {}
-    for floor, row in enumerate(floors):
-        left = (width - len(row) * _WIDTH - (len(row) - 1) * _GAP) / 2
-        for n, name in enumerate(row):
-            x = left + n * (_WIDTH + _GAP)
-            corner[name] = (x, _MARGIN + floor * _RISE)
-    shapes = [_line(corner[name], corner[t]) for name in edges for t in sorted(edges[name])]
-    shapes += [_box(name, *at) for name, at in corner.items()]
+    places = [{name: x + width / 2 for name, x, _ in _placed(row)} for row in ordered]
+    floor = {name: n for n, row in enumerate(floors) for name in row}
+    shapes = [_arrow(path, floor[path[0]], places) for path in paths]
+    shapes += [
+        _box(name, places[n][name] - _WIDTH / 2, _MARGIN + n * _RISE)
+        for n, row in enumerate(ordered)
+        for name in row
+        if ">" not in name
+    ]
     return _SHEET.format(width=f"{width:g}", height=f"{height:g}", shapes="\n".join(shapes))
 
 
-def _line(start: tuple[float, float], end: tuple[float, float]) -> str:
-    x, y = start[0] + _WIDTH / 2, start[1] + _HEIGHT
-    to_x, to_y = end[0] + _WIDTH / 2, end[1] - 3
-    bend = min(60.0, (to_y - y) / 2)
-    path = f"M{x:g},{y:g} C{x:g},{y + bend:g} {to_x:g},{to_y - bend:g} {to_x:g},{to_y:g}"
-    return f'<path d="{path}" class="arrow"/>'
+def _arrow(path: Sequence[str], first: int, places: Sequence[Mapping[str, float]]) -> str:
+    """A curve that runs straight through the rows it passes and bends between them."""
+    x, y = places[first][path[0]], _MARGIN + first * _RISE + _HEIGHT
+    drawn = f"M{x:g},{y:g}"
+    for n, name in enumerate(path[1:], start=first + 1):
+        to_x, top = places[n][name], _MARGIN + n * _RISE
+        to_y, half = top - 3, (top - y) / 2
+        drawn += f" C{x:g},{y + half:g} {to_x:g},{to_y - half:g} {to_x:g},{to_y:g}"
+        if ">" in name:
+            drawn += f" L{to_x:g},{top + _HEIGHT:g}"
+        x, y = to_x, top + _HEIGHT
+    return f'<path d="{drawn}" class="arrow"/>'
 
 
 def _box(name: str, x: float, y: float) -> str:

@@ -33,5 +33,6 @@ def test_every_file_the_page_names_exists() -> None:
     named = set(re.findall(r"`((?:components|flows|conf|tests|docs|benchmarks)/[\w./-]+)`", text))
     if len(named) < 30:
         pytest.fail(f"the page names only {len(named)} files; is the pattern still right?")
-    missing = sorted(name for name in named if not (drawing.ROOT / name).exists())
+    there = {name for name in named if (drawing.ROOT / name).exists()}
+    missing = sorted(name for name in named - there if "NAME" not in name)
     assert not missing
