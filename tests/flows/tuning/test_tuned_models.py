@@ -24,8 +24,7 @@ from flows.tuning.trial_tracker import TrialTracker
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 
-# One worker makes the tuned models, once.
-pytestmark = [pytest.mark.slow(1), pytest.mark.xdist_group("tuned")]
+pytestmark = pytest.mark.slow(1)
 
 WORDS = (
     "profile=smoke", "datasets=[mediocre-0.2]", "data.trajectories=4", "data.steps=100",

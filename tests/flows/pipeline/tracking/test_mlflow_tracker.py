@@ -28,8 +28,6 @@ from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from tests.flows.pipeline.toys import node, wait_for
 
-pytestmark = pytest.mark.xdist_group("mlflow")  # one worker makes the empty database, once
-
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
