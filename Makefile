@@ -10,10 +10,10 @@ PEERS := .venv-peers
 export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
 
-# Two processes share the tests; those of one xdist_group stay together, and the longest start first.
+# Two processes share the tests (tests/conftest.py says which stay together); the longest start first.
 # A process that dies fails the run: started again, it would meet the same test for ever.
 TEST_WORKERS ?= 2
-PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadgroup \
+PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscope \
   --no-loadscope-reorder --max-worker-restart 0
 
 .DEFAULT_GOAL := help

@@ -1,14 +1,36 @@
-"""What all tests share: the order in which they start, and one store of a whole smoke run."""
+"""What all tests share: their order, which of them stay in one process, a store of a smoke run."""
 
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+# Files whose tests one process runs: they share what is costly to make, or each start Ray on all
+# cores. The mark xdist_group does nothing here: pytest 9.2 ignores the name pytest-xdist 3.8 sets.
+TOGETHER = {
+    "tests/flows/pipeline/executors/test_ray.py": "ray",
+    "tests/flows/tuning/test_ray.py": "ray",
+    "tests/flows/test_full_benchmark.py": "ray",
+    "tests/test_notebooks.py": "ray",
+    "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
+    "tests/flows/tuning/test_tuned_models.py": "tuned models",
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Hand out test by test, but the files above whole."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return TOGETHER.get(nodeid.partition("::")[0], nodeid)
+
+    return Scheduling(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -37,7 +59,7 @@ class SmokeRun(NamedTuple):
 
 @pytest.fixture(scope="session")
 def smoke(tmp_path_factory: pytest.TempPathFactory) -> SmokeRun:
-    """A smoke run by the benchmark's own door; its tests form the group `ray`, one worker's.
+    """A smoke run by the benchmark's own door; one process runs all tests that need it.
 
     A learner with lambda, one without, one with updates before its budget, one that draws
     candidates.

@@ -37,7 +37,6 @@ def test_notebooks_hold_no_logic(path: Path) -> None:
 
 
 @pytest.mark.slow(20)
-@pytest.mark.xdist_group("ray")
 def test_results_notebook_shows_table_and_figure(
     smoke: SmokeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,7 +30,6 @@ def results(store: Path) -> str:
 
 
 @pytest.mark.slow(70)
-@pytest.mark.xdist_group("ray")
 def test_a_killed_ray_sweep_ends_with_the_numbers_of_a_serial_one(
     smoke: SmokeRun, tmp_path: Path
 ) -> None:

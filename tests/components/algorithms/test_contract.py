@@ -15,7 +15,7 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from components.policies.policy import Policy
-from tests.components.algorithms.stacks import learner, run
+from tests.components.algorithms.stacks import graded, learner, run
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, make_log, policy_card, relabelled
 
@@ -148,7 +148,7 @@ def test_state_has_lanes_first_and_round_trips(name: str, log: OfflineDataset) -
 
 
 @in_every_world
-@every_algorithm
+@pytest.mark.parametrize("name", graded(ALGORITHMS, 1))
 def test_steps_of_a_branch_differ_in_what_is_drawn_alone(name: str, log: OfflineDataset) -> None:
     """So that one CUDA graph does for all of them."""
     one, other = (learner(name, [log], [0]) for _ in range(2))

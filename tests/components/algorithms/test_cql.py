@@ -230,6 +230,7 @@ def test_the_warm_up_is_the_authors_share_of_the_budget() -> None:
     assert settings.cloning * settings.updates == pytest.approx(300_000 * 40_000 / 1_000_000)
 
 
+@pytest.mark.slow(1)
 def test_a_warm_up_on_the_bounds_stays_finite() -> None:
     log = make_log()
     log = relabelled(log, actions=np.sign(log.actions).astype(np.float32))

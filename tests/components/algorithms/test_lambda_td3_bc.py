@@ -124,6 +124,7 @@ def test_at_zero_values_do_not_count_and_at_one_the_log_does_not() -> None:
         assert log_counts == (proximity < 1.0)
 
 
+@pytest.mark.slow(2)
 def test_proximity_goes_from_imitation_to_the_greatest_value() -> None:
     # The reward is the action's first entry, logged actions are tanh N(-0.5, 0.3) there.
     log = make_log(episodes=20)

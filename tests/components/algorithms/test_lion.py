@@ -173,6 +173,7 @@ def test_at_lambda_zero_it_clones_the_behaviour_policy() -> None:
     assert distance(made, 0.0) < 0.15
 
 
+@pytest.mark.slow(1)
 def test_at_lambda_one_it_follows_the_virtual_return_alone() -> None:
     made = learner("lion", [LOG], [0], learning_rate=5e-3, trajectories=20, hidden=(16,), eta=0.0)
     fix_proximity(made, 1.0)

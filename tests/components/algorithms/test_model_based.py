@@ -67,6 +67,7 @@ def test_start_states_are_early_ones() -> None:
     assert set((made._streams.at(0)["start"][0] % STEPS).tolist()) == {0, 1, 2, 3}
 
 
+@pytest.mark.slow(1)
 def test_nothing_holds_it_near_the_data() -> None:
     """Where less velocity is all that counts it ends on the bound, whatever the log did."""
     inputs = LearnerInputs(

@@ -281,6 +281,7 @@ def chosen_by(made: Learner) -> np.ndarray:
     return policy.act(torch.from_numpy(histories).float()[None])[0].numpy()
 
 
+@pytest.mark.slow(1)
 def test_without_the_penalty_the_return_is_climbed() -> None:
     """Everything low pays: velocity wears and consumes, gain consumes, and what a unit of shift
     saves in consumption, 0.01 * 0.3, is less than it wears in the long run, 0.03 * 0.1 / (1 - 0.6).

@@ -85,6 +85,7 @@ def test_everything_stays_finite(name: str, logs: list[OfflineDataset]) -> None:
     assert actions.abs().max() <= 1.0
 
 
+@pytest.mark.slow(2)
 def test_multiplier_of_bear_stays_between_its_bounds(logs: list[OfflineDataset]) -> None:
     """At this rate it reaches the cap everywhere: so early no lane's MMD is below 0.05."""
     _, metrics = trained("bear", logs)

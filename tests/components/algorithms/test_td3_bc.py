@@ -159,6 +159,7 @@ def test_a_time_out_is_bootstrapped_and_a_terminal_is_not() -> None:
     )
 
 
+@pytest.mark.slow(2)
 def test_without_weight_on_values_it_clones() -> None:
     log = make_log(episodes=20, explore=0.0)
     made = learner("td3_bc", [log], [0], alpha=0.0, learning_rate=3e-3, batch=64, hidden=(32,))
@@ -171,6 +172,7 @@ def test_without_weight_on_values_it_clones() -> None:
         assert torch.equal(m["actor/loss"], m["actor/imitation_error"])
 
 
+@pytest.mark.slow(2)
 def test_values_pull_the_actor_towards_rewarded_actions() -> None:
     # The reward is the action's first entry, the log's actions are uniform: Q rises with it.
     log = make_log(episodes=20, explore=1.0)

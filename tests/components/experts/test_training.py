@@ -58,6 +58,7 @@ def test_a_killed_training_goes_on_to_the_same_numbers(
         assert stored[0].stat().st_size == LASTING.steps * (3 + 2 + 1 + 1 + 3) * 4
 
 
+@pytest.mark.slow(2)
 def test_one_lane_of_a_checkpoint_can_be_finished_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ def rebuilt(model: ActionVAE, history: np.ndarray, action: np.ndarray, noise: np
     return mean, log_std, np.tanh(decoded)
 
 
+@pytest.mark.slow(1)
 def test_the_actions_of_an_operator_are_learned() -> None:
     """On unseen trajectories; an action he would not take comes back as one he would."""
     log = make_log(episodes=20, steps=60, explore=0.0)

@@ -134,6 +134,7 @@ def test_where_an_observation_is_one_frame_nothing_is_repeated() -> None:
     assert windows.train.tolist() == np.concatenate(starts).tolist()
 
 
+@pytest.mark.slow(2)
 def test_learns_the_small_machine() -> None:
     log = make_log(episodes=20, steps=60)
     config = RecurrentEnsembleConfig(

@@ -32,7 +32,6 @@ def start(home: Path, log: Path) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow(40)
-@pytest.mark.xdist_group("ray")
 def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: Path) -> None:
     home, log = tmp_path / "mlruns", tmp_path / "log"
     log.mkdir()

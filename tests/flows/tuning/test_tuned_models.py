@@ -27,6 +27,8 @@ from flows.tuning.study import Study, open_journal
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 
+pytestmark = pytest.mark.slow(1)
+
 WORDS = (
     "profile=smoke", "datasets=[mediocre-0.2]", "data.trajectories=4", "data.steps=100",
     "runner.executor=serial",

@@ -279,6 +279,7 @@ def test_impossible_specifications_are_refused(change: dict[str, object], messag
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow(2)
 def test_shipped_experts_log_the_same_bytes_on_more_threads(
     robot: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

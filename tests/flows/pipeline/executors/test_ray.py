@@ -25,7 +25,6 @@ from tests.flows.pipeline.toys import counted, diamond, node, wait_for
 
 
 @pytest.mark.slow(10)
-@pytest.mark.xdist_group("ray")
 def test_ray_runs_a_plan_and_survives_its_workers(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,7 +86,6 @@ def start_driver(home: Path, log: Path) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow(40)
-@pytest.mark.xdist_group("ray")
 def test_killed_driver_continues_to_the_same_result(tmp_path: Path) -> None:
     log, home = tmp_path / "log", tmp_path / "mlruns"
     log.mkdir()
