@@ -47,28 +47,24 @@ class SmokeRun(NamedTuple):
     """What a whole smoke run left behind.
 
     Attributes:
-        store: its store, which nobody may write to.
-        words: its settings, but for the executor and the store.
+        store: its store, which no test may write to.
         printed: its standard output.
     """
 
     store: Path
-    words: tuple[str, ...]
     printed: str
 
 
 @pytest.fixture(scope="session")
 def smoke(tmp_path_factory: pytest.TempPathFactory) -> SmokeRun:
-    """A smoke run by the benchmark's own door; one process runs all tests that need it.
+    """A smoke run of all algorithms by the benchmark's own door, in this process alone.
 
-    A learner with lambda, one without, one with updates before its budget, one that draws
-    candidates.
+    One process runs all tests that need it.
     """
     store = tmp_path_factory.mktemp("smoke") / "mlruns"
-    words = ("profile=smoke", "algorithms=[lion,td3_bc,brac,bcq]", "sweep=smoke")
-    how = ("runner.executor=serial", f"store={store}")
+    words = ("profile=smoke", "sweep=smoke", "runner.executor=serial", f"store={store}")
     done = subprocess.run(
-        [sys.executable, "-m", "flows.full_benchmark", *words, *how],
+        [sys.executable, "-m", "flows.full_benchmark", *words],
         cwd=ROOT,
         env={k: v for k, v in os.environ.items() if k != "MLFLOW_TRACKING_URI"},
         capture_output=True,
@@ -76,4 +72,4 @@ def smoke(tmp_path_factory: pytest.TempPathFactory) -> SmokeRun:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return SmokeRun(store, words, done.stdout)
+    return SmokeRun(store, done.stdout)
