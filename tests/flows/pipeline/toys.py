@@ -20,7 +20,7 @@ from flows.pipeline.task import Job, TaskContext
 HERE = "tests.flows.pipeline.toys"
 
 
-def wait_for(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+def wait_for(condition: Callable[[], Any], what: str, seconds: float = 300.0) -> Any:
     """Polls until a condition holds; the one place where these tests wait."""
     pause = threading.Event()
     deadline = time.monotonic() + seconds
