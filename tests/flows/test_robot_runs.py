@@ -28,9 +28,9 @@ def test_values_lead_far_beyond_a_noisy_log_and_its_clone(tmp_path: Path) -> Non
     copying does not pass: a dead critic stays at the clone. Means over the last four snapshots
     (deviation of the five seeds), measured: the log 8.9, the clone 11.9 (1.0), TD3+BC 22.3 (0.4);
     with data.seed 1 the log 9.8, the clone 12.3 (1.3), TD3+BC 22.4 (0.4). TD3+BC leads the clone by
-    10 with a standard error of at most 0.6 and 5 are asked for: the chance that five other seeds lead by
-    less is below one in a thousand (t-test, four degrees of freedom). On one machine nothing is
-    left to chance.
+    10 with a standard error of at most 0.6 and 5 are asked for: the chance that five other seeds
+    lead by less is below one in a thousand (t-test, four degrees of freedom). On one machine
+    nothing is left to chance.
     """
     settings = load_settings([*SEEDS, *SHORT, "datasets=[swimmer]"])
     noisy = {"swimmer": dataclasses.replace(settings.dataset["swimmer"], epsilon=0.7)}
