@@ -139,7 +139,7 @@ class Learner(StackedLearner):
     ) -> Tensor:
         """What the current policies do, see :class:`.PolicyLearner`."""
         generated = self._generate(observations, needed(noise, "noise"))
-        return self._critics.favourite(
+        return self._critics.best_action(
             observations, self._perturb(self._actor, observations, generated)
         )
 

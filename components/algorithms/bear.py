@@ -180,7 +180,7 @@ class Learner(StackedLearner):
     ) -> Tensor:
         """What the current policies do, see :class:`.PolicyLearner`."""
         candidates, _, _ = self._actor.draw(self._actor(observations), needed(noise, "noise"))
-        return self._critics.favourite(observations, candidates)
+        return self._critics.best_action(observations, candidates)
 
     # -- losses -----------------------------------------------------------------------------
 

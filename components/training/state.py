@@ -1,4 +1,4 @@
-"""The state of learners as flat mappings of tensors: what a checkpoint stores and puts back."""
+"""The state of learners as flat mappings of tensors, which checkpoints store and restore."""
 
 from collections.abc import Iterable, Mapping
 
@@ -58,5 +58,5 @@ def load_optimizer_state(optimizer: torch.optim.Optimizer, flat: Mapping[str, Te
         state = optimizer.state[parameter]
         for name, tensor in entries.items():
             value = tensor[0] if name == "step" else tensor
-            # A fused optimiser wants its step counter where the parameter lives.
+            # A fused optimiser needs its step counter on the parameter's device.
             state[name] = value.clone().to(parameter.device)
