@@ -1,7 +1,7 @@
-"""What is learned supervised, before any policy: behaviours, dynamics, an autoencoder of actions.
+"""Supervised models, fitted before any policy: behaviour policies, dynamics, an action autoencoder.
 
-In comes a dataset; out goes a fitted model as a folder of its own. One file or folder for each
-model, and one record, by which all else knows it; virtual trajectories are made in transition/.
+In: a dataset. Out: a fitted model, stored as a folder. Each model has a file or folder here and a
+record in ``MODELS``, by which plans and tasks use it; `transition/` makes virtual trajectories.
 """
 
 from collections.abc import Callable, Mapping
