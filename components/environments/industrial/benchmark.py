@@ -52,7 +52,7 @@ DYNAMICS: Final[Mapping[str, Any]] = {
     "learned": ["fatigue", "consumption"],
     "reward": {"fatigue": -0.03, "consumption": -0.01},
 }
-"""What an operator knows without experiments: the effect of an action on the steerings, and the
+"""The dynamics specification, known without data: the effect of an action on the steerings, and the
 reward of a frame."""
 
 _COST_WEIGHTS = np.array([0.11111, 0.22222, 0.33333, 0.22222, 0.11111, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -157,7 +157,7 @@ class IndustrialBenchmark:
         """Start all copies and take the one step of action zero that the reference takes.
 
         Args:
-            rng: generator of all noise from here on; without it the previous one goes on.
+            rng: generator of all noise from here on; without it the previous one is used further.
             start: state before that first step, numbers or arrays `[N]`: `velocity`, `gain`,
                 `shift`, `hidden_velocity`, `hidden_gain`, `domain`, `response`, `direction`
                 (`START_DEFAULTS`), and `operational_costs`, `[10]` or `[N, 10]` oldest first
@@ -191,7 +191,7 @@ class IndustrialBenchmark:
 
         Args:
             copies: `[N]` mask of the copies to start again.
-            rng: generator of their first step; later steps go on with the one of `reset`.
+            rng: generator of their first step; later steps use that of `reset`.
             start: as in `reset`, arrays as long as the mask has true entries.
 
         Returns:
@@ -317,7 +317,7 @@ class IndustrialBenchmark:
         return amplification
 
     def _operational_cost(self) -> Array:
-        """Equation 3.3; the result lives in a buffer."""
+        """Equation 3.3; the result is a buffer, which the next step overwrites."""
         cost = self._three
         np.dot(_COST_RATES, self._steerings, out=cost)
         cost += 0.02 * self.setpoint
