@@ -45,7 +45,7 @@ class ModelKind(Generic[C]):
         fit: ``fit(dataset, config, key, device, checkpoint, monitor)``: trains on all but the last
             trajectories, resumably.
         load: Reads the folder that the fitted model's ``save`` filled.
-        cost: Core-seconds of a fit with given settings, measured roughly on a machine of 2026.
+        cost: Core-seconds of a fit with given settings, measured roughly on a computer of 2026.
     """
 
     config: type[C]

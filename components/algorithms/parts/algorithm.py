@@ -29,7 +29,7 @@ class Algorithm(Generic[C]):
         config: Its settings with their defaults, a frozen dataclass.
         learner: ``learner(config, inputs)`` makes a new stack of learners.
         version: To be raised whenever a change of its code can change results; part of node keys.
-        cost: Core-seconds of one seed at given settings, measured roughly on a machine of 2026.
+        cost: Core-seconds of one seed at given settings, measured roughly on a computer of 2026.
             Costs order the nodes, and estimate their time until times of finished nodes are known.
         needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
         takes_proximity: Whether the proximity is an input of its policies.
