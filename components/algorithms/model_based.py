@@ -6,7 +6,7 @@ its penalty nor its distance to logged actions, and with a policy that takes no 
 
     loss = -mean over start states of sum_t gamma^t r_t / abs(mean return of the data)
 
-Nothing keeps the policy where the ensemble knows the system, so it learns to exploit the models'
+Nothing keeps the policy where the ensemble predicts well, so it learns to exploit the models'
 errors wherever the log explored little. What LION takes over from its authors' code (start states,
 scale of the return, member of lowest predicted reward) holds here too.
 """

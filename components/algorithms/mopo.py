@@ -133,7 +133,7 @@ class Learner(SoftActorCritic):
             keys,
             {
                 "row": data.row_draw(config.logged),
-                # In double precision: single could not tell a million places apart.
+                # In double precision: single has too few digits for a million places.
                 "virtual": lambda g, lane, steps: g.random((steps, virtual)),
                 "next": normal_draw(batch, 1, acted),
                 "actor": normal_draw(batch, 1, acted),

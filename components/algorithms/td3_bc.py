@@ -71,7 +71,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of TD3+BC learners, one lane per (dataset, seed)."""
 
-    _further_inputs = 0  # of all networks, behind the observation
+    _further_inputs = 0  # of all networks, after the observation
 
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data

@@ -220,7 +220,7 @@ class OnlineDDPG:
         }
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned, and repeat the running episodes.
+        """Restore what :meth:`state_dict` returned, and repeat the running episodes.
 
         Raises:
             ValueError: The files hold fewer transitions than the state counts.

@@ -201,7 +201,7 @@ class StackedFit(Generic[N]):
         return state | prefixed("optimizer", optimizer_state(self._optimizer))
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
         self.network.load_state_dict(with_prefix("network", state))
         self.best.load_state_dict(with_prefix("best", state))
         self.best_loss.copy_(state["best_loss"])

@@ -49,7 +49,7 @@ class PolicyCard:
         steps: Training step of every stored snapshot, one per lane.
         kind: How it acts, a name in :data:`~components.policies.deployment.KINDS`.
         candidates: N, actions drawn per state; 0 if the policy is deterministic.
-        noise: Width of the normal noise behind a candidate.
+        noise: Width of the normal noise from which a candidate is made.
         perturbation: Largest change BCQ's actor may make to a generated action.
         ended_at: Update by which a loss had become infinite or undefined and learning ended; the
             snapshots after it repeat the last finite one. None: training used the whole budget.

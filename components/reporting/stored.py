@@ -70,7 +70,7 @@ class StoredReport:
     """A sweep's report.
 
     Attributes:
-        folder: Where it lies; its name is the sweep's.
+        folder: Its folder, which has the name of the sweep.
         table: As :func:`~components.reporting.tables.result_table` made it.
         summaries: The summaries behind the rows, in their order; fewer if artifacts are missing.
         behaviour_returns: Dataset -> mean discounted 100-step return of the logging controller.

@@ -100,7 +100,7 @@ class GraphedLearner:
         return self._learner.state_dict()
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned; before the first update, not after it."""
+        """Restore what :meth:`state_dict` returned; before the first update, not after it."""
         self._learner.load_state_dict(state)
 
 

@@ -35,7 +35,7 @@ class Learner(Protocol):
         """All that the next update depends on, lane axis first in every tensor."""
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
 
 
 @dataclass

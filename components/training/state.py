@@ -50,7 +50,7 @@ def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def load_optimizer_state(optimizer: torch.optim.Optimizer, flat: Mapping[str, Tensor]) -> None:
-    """Put back what :func:`optimizer_state` returned."""
+    """Restore what :func:`optimizer_state` returned."""
     for number, parameter in enumerate(_parameters(optimizer)):
         entries = with_prefix(str(number), flat)
         if not entries:

@@ -79,8 +79,8 @@ def generalised_advantages(
 
 def discounted_returns(rewards: Tensor, continues: Tensor, discount: float) -> Tensor:
     """Returns from every step to the end of its trajectory, ``[T, ...]`` like the rewards."""
-    nothing = torch.zeros_like(rewards[:1]).expand(len(rewards) + 1, *rewards.shape[1:])
-    return generalised_advantages(rewards, nothing, continues, discount, 1.0)
+    zeros = torch.zeros_like(rewards[:1]).expand(len(rewards) + 1, *rewards.shape[1:])
+    return generalised_advantages(rewards, zeros, continues, discount, 1.0)
 
 
 def whitened(estimates: Tensor, counts: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ def healthy_ranges(data: LaneData) -> Ranges | None:
     """Limits of scaled frames, outside of which a state is a fall; None if no system can fall.
 
     Raises:
-        ValueError: If a card names anything but a feature of its frames.
+        ValueError: If a card names a feature that its frames lack.
     """
     limits = torch.empty(2, data.lanes, data.frame_width)
     limits[0], limits[1] = -torch.inf, torch.inf

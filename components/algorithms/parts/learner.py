@@ -144,7 +144,7 @@ class StackedLearner:
         return state
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
         for name, network in self._networks.items():
             network.load_state_dict(with_prefix(name, state))
         for name, optimizer in self._optimizers.items():

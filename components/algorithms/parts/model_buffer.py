@@ -78,7 +78,7 @@ class ModelBuffer(nn.Module):
         place, step = index // self._length, index % self._length
         lane = torch.arange(len(index), device=index.device)[:, None]
         ended = self.ended[lane, place].long()
-        step = step % (ended + 1)  # at most T - 1, and so itself, where nothing has ended
+        step = step % (ended + 1)  # changes nothing where a trajectory has not ended
         recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
         whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
         width, seen = self._data.frame_width, self._data.observation_width

@@ -79,14 +79,17 @@ def policy_gradient(
 
     Args:
         policy: L policies.
-        samples: Portions of observations ``[L, N, O]``, the noise ``[L, N, A]`` behind the actions
-            and weights ``[L, N]``; their sum is taken.
+        samples: Portions of observations ``[L, N, O]``, the noise ``[L, N, A]`` from which the
+            actions were drawn, and weights ``[L, N]``; the sum over all portions is taken.
+
+    Raises:
+        ValueError: There are no samples.
     """
     total: Tensor | None = None
     for observations, noise, weights in samples:
         mean = policy(observations)
         raw = (mean + policy.log_std.exp() * noise).detach()
-        # Up to a constant: its gradient is all that is asked for.
+        # Up to a constant, which has no gradient.
         log_density = -0.5 * ((raw - mean) * (-policy.log_std).exp()).square() - policy.log_std
         objective = (weights * log_density.sum(dim=-1)).sum()
         gradient = _flat(torch.autograd.grad(objective, policy.vector()))
