@@ -75,10 +75,7 @@ class LearnerInputs:
         """
         rules = {DynamicsSpecification.of_card(dataset.card) for dataset in self.data.datasets}
         if len(rules) != 1:
-            raise ValueError(
-                "The datasets of one stack have different dynamics specifications; train them "
-                "separately."
-            )
+            raise ValueError("The datasets of one stack have different dynamics; train them apart.")
         return rules.pop()
 
     @property
@@ -216,7 +213,7 @@ def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDAr
     found = np.flatnonzero((after <= step) & (step < window))
     if not len(found):
         raise ValueError(
-            f"No trajectory of {dataset.card.name} is longer than start_after={after} steps; lower "
+            f"No trajectory of {dataset.card.name} has a step after its first {after}; lower "
             "start_after."
         )
     return found
