@@ -1,4 +1,4 @@
-"""From the returns of many policies to the statistics of a table.
+"""Statistics of many policies' returns, the numbers of the result table.
 
-In: returns of all seeds and snapshots. Out: percentile, standard error, means of their pool.
+In: returns of all seeds and snapshots. Out: percentile, standard error and means of their pool.
 """

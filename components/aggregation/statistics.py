@@ -1,4 +1,4 @@
-"""From many evaluated policies to the numbers of a table.
+"""Statistics of a pool of evaluated policies.
 
 The pool of a (dataset, algorithm) pair holds the last snapshots of every seed; each member is one
 policy, represented by its mean return over its real trajectories (thesis 5.1.2).
@@ -67,8 +67,8 @@ def pool_policies(
 def summarise(pool: npt.NDArray[np.float64]) -> PoolStatistics:
     """Reduce a pool ``[N]`` of policy returns.
 
-    A policy that produced a non-finite return makes every figure but the count non-finite: it is
-    shown, not left out.
+    If the return of any policy is not finite, every statistic but the count is NaN: diverged
+    policies are not left out of the pool.
     """
     size = len(pool)
     if not np.isfinite(pool).all():

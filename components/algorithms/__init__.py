@@ -1,9 +1,9 @@
 """The learners: one module for each method, all with the same outline; what they share in parts/.
 
-In come the logged transitions of lanes, with fitted models where a method needs them; out go
-policies, which nothing here ever tries on the real system. A module holds settings (``Config``)
-and the stack of learners (``Learner``) and ends with the record (``ALGORITHM``) by which all else
-knows the method, see :class:`components.algorithms.parts.algorithm.Algorithm`.
+In: the logged transitions of lanes, with fitted models where a method needs them. Out: policies,
+which are never evaluated on the real system here. A module holds settings (``Config``) and the
+stack of learners (``Learner``) and ends with the record (``ALGORITHM``) by which plans and tasks
+use the method, see :class:`components.algorithms.parts.algorithm.Algorithm`.
 """
 
 from collections.abc import Mapping

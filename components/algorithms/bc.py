@@ -1,9 +1,9 @@
 """BC: plain behaviour cloning, the reference row that shows what copying the log achieves.
 
 ``pi(s)`` minimises the mean squared distance to the logged action, averaged over action entries
-(Pomerleau, "ALVINN", 1989). Nothing is rewarded. The sizes are those of the actor of TD3+BC, of
-which this is the limit ``alpha = 0``. Of data with random actions mixed in it learns their mean,
-and so often does better than the operators it copies.
+(Pomerleau, "ALVINN", 1989). Rewards are not used. The sizes are those of the actor of TD3+BC, of
+which this is the limit ``alpha = 0``. From data with random actions mixed in it learns the mean
+action, and so is often better than the controller that it copies.
 """
 
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Config:
 
 
 class Learner(StackedLearner):
-    """A stack of clones, one lane per (dataset, seed)."""
+    """A stack of BC policies, one lane per (dataset, seed)."""
 
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._data = data = inputs.data
@@ -60,7 +60,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations))
 
     # -- update -----------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""BCQ: batch-constrained Q-learning, which chooses among actions the log could have contained.
+"""BCQ: batch-constrained Q-learning, which chooses among actions that resemble the logged ones.
 
 Fujimoto, Meger, Precup, "Off-Policy Deep Reinforcement Learning without Exploration" (2019). A
 conditional VAE generates actions ``G(s)`` like the logged ones, a network ``xi`` perturbs each by
@@ -12,9 +12,9 @@ at most ``Phi``, and the value function picks the best. Per update, on one batch
     targets of critics and xi <- tau online + (1 - tau) target
 
 Deployed is the action of greatest Q_1 among 100 perturbed generated ones. Where references disagree
-the authors' current code is followed: 10 actions in targets and 100 at deployment (the paper's time
-had 10), KL averaged over latents (a quarter of the usual weight), log standard deviation of the
-latents in [-4, 15], latents clamped to +-0.5 when actions are generated.
+the authors' current code is followed: 10 actions in targets and 100 at deployment (10 at the time
+of the paper), KL averaged over latents (a quarter of the usual weight), log standard deviation of
+the latents in [-4, 15], latents clamped to +-0.5 when actions are generated.
 
 Deviations: frames are standardised (the authors' tasks have unit scale). The end of a logged
 trajectory is a time-out and is bootstrapped through. gamma and the budget of 10,000 updates are the
@@ -137,9 +137,9 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         generated = self._generate(observations, needed(noise, "noise"))
-        return self._critics.favourite(
+        return self._critics.best_action(
             observations, self._perturb(self._actor, observations, generated)
         )
 

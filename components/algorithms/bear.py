@@ -20,13 +20,13 @@ updates becomes the same fraction of the budget. Kernel and sigma are the port's
 (Laplacian, 20); ``kernel=gaussian`` gives exp(-|u - v|_2^2 / (2 sigma)).
 
 Deviations: the actor's loss is computed after the critics' step (the port's order cannot run on
-today's PyTorch). The VAE's samples are clamped to +-``raw_limit`` before the kernel: an operator
-that drives a steering to its bound pushes them towards infinity there, where MMD would measure
-nothing but the distance between two saturated actions. With four samples a side MMD does not reach
-the threshold even for equal distributions where the log explores much (about 0.19 for uniform
-actions), so alpha rises towards its cap there; that is the port's behaviour. Frames are
-standardised. The end of a logged trajectory is a time-out and is bootstrapped through.
-gamma and the budget of 10,000 updates are the thesis's (5.1.2).
+today's PyTorch). The VAE's samples are clamped to +-``raw_limit`` before the kernel: logged actions
+on a bound drive them towards infinity, where MMD would measure nothing but the distance between two
+saturated actions. With four samples a side MMD does not reach the threshold even for equal
+distributions where the log explores much (about 0.19 for uniform actions), so alpha rises towards
+its cap there; that is the port's behaviour. Frames are standardised. The end of a logged trajectory
+is a time-out and is bootstrapped through. gamma and the budget of 10,000 updates are the thesis's
+(5.1.2).
 """
 
 import copy
@@ -178,9 +178,9 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         candidates, _, _ = self._actor.draw(self._actor(observations), needed(noise, "noise"))
-        return self._critics.favourite(observations, candidates)
+        return self._critics.best_action(observations, candidates)
 
     # -- losses -----------------------------------------------------------------------------
 
@@ -220,7 +220,7 @@ class Learner(StackedLearner):
     # -- update -----------------------------------------------------------------------------
 
     def branch(self, step: int) -> bool:
-        """Whether the warm-up is over, and the actor follows the critics."""
+        """Whether the warm-up is over, so that the actor's loss contains the values."""
         return step >= round(self._config.warm_up * self._config.updates)
 
     def update(self, step: int) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""BRAC-v: an actor-critic that pays for its divergence from the behaviour, in policy and value.
+"""BRAC-v: an actor-critic penalised for divergence from the behaviour, in policy and value.
 
 Wu, Tucker, Nachum, "Behavior Regularized Offline Reinforcement Learning" (2019), with the KL
 divergence in its primal form. In pretraining a squashed Gaussian ``b``, the behaviour, is fitted to
@@ -21,7 +21,7 @@ evaluations used 1 and 3e-5). Its phases keep their share of the budget: 300,000
 20,000 warm-up steps on a run of 500,000 become 0.6 (before the budget begins) and 0.04.
 
 Deviations: the critics' targets start as copies (the authors' start as other random networks); the
-first of the four actions also serves as the one the critics judge; initial weights are PyTorch's.
+first of the four actions is also the one that the critics evaluate; initial weights are PyTorch's.
 Frames are standardised. The end of a logged trajectory is a time-out and is bootstrapped through.
 gamma and the budget of 10,000 updates are the thesis's (5.1.2).
 """
@@ -60,7 +60,7 @@ class Config:
     """The authors' settings, with the thesis's discount and budget."""
 
     updates: int = 10_000  # after pretraining
-    cloning: float = 0.6  # pretraining updates of the behaviour, as a share of their number
+    cloning: float = 0.6  # pretraining updates of the behaviour, as a share of ``updates``
     hidden: tuple[int, ...] = (200, 200)  # layers of actor and behaviour
     critic_hidden: tuple[int, ...] = (300, 300)
     actor_learning_rate: float = 3e-4  # Adam
@@ -69,7 +69,7 @@ class Config:
     batch: int = 256  # transitions per update
     discount: float = 0.97  # gamma
     target_rate: float = 0.005  # tau
-    alpha: float = 0.1  # price of divergence
+    alpha: float = 0.1  # weight of the divergence penalty
     divergence_actions: int = 4  # samples behind D
     warm_up: float = 0.04  # first share of the updates, in which the actor does not see Q
 
@@ -134,7 +134,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations)[0])
 
     # -- losses -----------------------------------------------------------------------------
@@ -155,7 +155,7 @@ class Learner(StackedLearner):
 
     @torch.no_grad()
     def _targets(self, batch: Batch, noise: Tensor) -> Tensor:
-        """Bootstrapped values ``[L, B]``, less the price of divergence at the next state."""
+        """Bootstrapped values ``[L, B]``, less the divergence penalty at the next state."""
         config, following = self._config, batch.next_observations
         drawn = self._actor.draw(self._actor(following), noise)
         values: Tensor = self._critics_target(following, drawn[0][:, :, 0]).amin(dim=1)
@@ -163,7 +163,7 @@ class Learner(StackedLearner):
         return batch.rewards + config.discount * batch.continues * ahead
 
     def _actor_loss(
-        self, batch: Batch, noise: Tensor, follows: bool
+        self, batch: Batch, noise: Tensor, with_values: bool
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self._config
         drawn = self._actor.draw(self._actor(batch.observations), noise)
@@ -173,7 +173,7 @@ class Learner(StackedLearner):
             "actor/divergence": divergence.detach(),
             "actor/saturated_share": saturation(drawn[0]),
         }
-        if follows:
+        if with_values:
             values = self._critics(batch.observations, drawn[0][:, :, 0]).amin(dim=1)
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
@@ -182,7 +182,7 @@ class Learner(StackedLearner):
     # -- update -----------------------------------------------------------------------------
 
     def branch(self, step: int) -> str:
-        """What is learned: the behaviour, then critics, at last an actor that follows them."""
+        """Phase: the behaviour's pretraining, the warm-up (values), the actor with values."""
         config, since = self._config, step - self.pretraining
         if since < 0:
             return "behaviour"
@@ -194,7 +194,7 @@ class Learner(StackedLearner):
         batch = self._data.batch(drawn["row"])
         if self.branch(step) == "behaviour":
             return self._pretrain(batch, drawn["actor"])
-        return self._improve(batch, drawn, follows=self.branch(step) == "actor")
+        return self._improve(batch, drawn, with_values=self.branch(step) == "actor")
 
     def _pretrain(self, batch: Batch, noise: Tensor) -> dict[str, Tensor]:
         loss, own = self._behaviour_loss(batch, noise[:, :, :1])
@@ -212,13 +212,13 @@ class Learner(StackedLearner):
         }
 
     def _improve(
-        self, batch: Batch, drawn: dict[str, Tensor], *, follows: bool
+        self, batch: Batch, drawn: dict[str, Tensor], *, with_values: bool
     ) -> dict[str, Tensor]:
         polyak_update(self._critics_target, self._critics, self._config.target_rate)
         targets = self._targets(batch, drawn["next"])
         critic_loss = self._critics.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critics"], critic_loss)
-        actor_loss, metrics = self._actor_loss(batch, drawn["actor"], follows)
+        actor_loss, metrics = self._actor_loss(batch, drawn["actor"], with_values)
         descend(self._optimizers["actor"], actor_loss)
         return metrics | {
             "critic/loss": critic_loss.detach(),

@@ -1,4 +1,4 @@
-"""CQL: soft actor-critic whose values are pushed down wherever the log says nothing.
+"""CQL: soft actor-critic whose values are pushed down for actions that were not logged.
 
 Kumar, Zhou, Tucker, Levine, "Conservative Q-Learning for Offline Reinforcement Learning" (2020), in
 the form of the authors' code. Per update, on one batch, with N = 10:
@@ -101,7 +101,7 @@ class Learner(StackedLearner):
         self._actor = TanhGaussian(keys, "actor", (seen, *config.hidden, acted)).to(device)
         self._critics = Critics(keys, seen, acted, config.hidden).to(device)
         self._critics_target = copy.deepcopy(self._critics).requires_grad_(False)
-        # Thirty-one actions a state make activations that no processor's cache holds for all lanes.
+        # With 31 actions a state, the activations of all lanes overflow the cache of a CPU.
         groups = self.lanes if device.type == "cpu" else 1
         self._groups = lane_groups(self._critics, self.lanes, groups)
         self._log_temperature = Scalars(self.lanes, 0.0).to(device)
@@ -140,7 +140,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations)[0])
 
     # -- losses -----------------------------------------------------------------------------

@@ -14,7 +14,7 @@ References disagree on sizes; taken are OurDDPG's since 2021 (two layers of 256,
 that were never logged, so they grow without bound and the actor leaves the data for the bounds of
 the action box. That is the method's result here: neither values nor gradients are clipped. The same
 update, :class:`ActorCritic`, trains online the experts that log the robot datasets
-(:mod:`components.experts`); no learner sees that.
+(:mod:`components.experts`); no offline learner uses those transitions.
 
 Deviations: frames are standardised (the raw frames of the Industrial Benchmark are far from unit
 scale). The end of a logged trajectory is a time-out and is bootstrapped through. gamma and the
@@ -119,7 +119,7 @@ class ActorCritic(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations))
 
     # -- losses -----------------------------------------------------------------------------

@@ -8,11 +8,10 @@ parameter lambda beside the observation; each logged transition draws its own
     mean [-lambda alpha Q_1(s, pi, lambda) / mean|Q_1| + (1 - lambda) (pi - a)^2]
 
 for ``pi = pi(s, lambda)``, with the squared distance averaged over action entries. All else is
-TD3+BC, see
-:mod:`components.algorithms.td3_bc`.
+TD3+BC, see :mod:`components.algorithms.td3_bc`.
 
-Deviations: frames are standardised, which the authors' code leaves out here; lambda enters the
-networks standardised, as in LION.
+Deviations: frames are standardised, which the authors' code leaves out here; the proximity enters
+the networks standardised, as in LION.
 """
 
 from dataclasses import dataclass, replace
@@ -34,9 +33,9 @@ __all__ = ["ALGORITHM", "Config", "Learner"]
 
 @dataclass(frozen=True, kw_only=True)
 class Config(td3_bc.Config):
-    """TD3+BC's settings, and how lambda is drawn."""
+    """TD3+BC's settings, and how the proximity is drawn."""
 
-    beta: float = 0.1  # both parameters of lambda's Beta distribution
+    beta: float = 0.1  # both parameters of the proximity's Beta distribution
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -68,14 +67,14 @@ class Learner(td3_bc.Learner):
     # -- networks ---------------------------------------------------------------------------
 
     def _with_proximity(self, observations: Tensor, proximity: Tensor) -> Tensor:
-        """Observations ``[L, B, O + 1]`` with lambda ``[L, B]`` as their last entry."""
+        """Observations ``[L, B, O + 1]`` with the scaled ``proximity [L, B]`` as last entry."""
         scaled = self._proximity_scaling.apply(proximity[..., None])
         return torch.cat([observations, scaled], dim=-1)
 
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return super().act(self._with_proximity(observations, needed(proximity, "proximity")))
 
     # -- losses -----------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""LION: a policy whose proximity to the logged behaviour the operator steers at run time.
+"""LION: a policy whose proximity to the logged behaviour is an input, set at run time.
 
 Swazinna, Udluft, Runkler, "User-Interactive Offline Reinforcement Learning" (2022); thesis 6.4,
 equations 6.3 to 6.8 and algorithm 3. The policy ``pi(s, lambda)`` is trained purely on virtual
@@ -12,9 +12,9 @@ trajectories of a learned transition ensemble. Per update and lane:
 
 Known deviations from the text, following the authors' code where it differs: start states come from
 the first ``start_window`` steps of each trajectory; rewards are scaled by the mean discounted
-window return of the dataset; the penalty is divided by the horizon; lambda enters the network
-standardised. The logged actions are drawn from the whole dataset (the authors' code reaches only
-its first part).
+window return of the dataset; the penalty is divided by the horizon; the proximity enters the
+network standardised. The logged actions are drawn from the whole dataset (the authors' code
+reaches only its first part).
 """
 
 from dataclasses import dataclass
@@ -47,8 +47,8 @@ class Config:
     trajectories: int = 200  # B, virtual trajectories per update; also logged actions
     horizon: int = 100  # H, steps of a virtual trajectory
     discount: float = 0.97  # gamma
-    beta: float = 0.1  # both parameters of lambda's Beta distribution
-    eta: float = 0.1  # weight of the distance to logged actions at lambda = 0
+    beta: float = 0.1  # both parameters of the proximity's Beta distribution
+    eta: float = 0.1  # weight of the distance to logged actions at proximity 0
     start_window: int = 30  # start states are steps start_after ... start_window - 1 of each
     start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
 
@@ -71,8 +71,8 @@ class Learner(StackedLearner):
         self._config, self._data = config, inputs.data
         data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
-        clones = inputs.fitted("behaviour_policy", Policy)
-        self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
+        behaviours = inputs.fitted("behaviour_policy", Policy)
+        self._behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
         self._returns = VirtualReturns(inputs, config.horizon, config.discount)
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)
@@ -97,12 +97,12 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         scaled = self._proximity_scaling.apply(needed(proximity, "proximity")[..., None])
         return torch.tanh(self._network(torch.cat([observations, scaled], dim=-1)))
 
     def _behaviour_act(self, observations: Tensor) -> Tensor:
-        """Actions of the clones, differentiable in the observations."""
+        """Actions of the behaviour policies, differentiable in the observations."""
         return KINDS["tanh"](self._behaviour.networks, observations, None, 0.0)
 
     # -- losses -----------------------------------------------------------------------------
@@ -122,7 +122,7 @@ class Learner(StackedLearner):
         return returns, penalty
 
     def _imitation_loss(self, index: Tensor) -> Tensor:
-        """Mean squared distance to logged actions at lambda = 0, summed over entries, ``[L]``."""
+        """Mean squared distance to logged actions at proximity 0, summed over entries, ``[L]``."""
         observations = self._data.observations(index)
         actions = self.act(observations, torch.zeros_like(observations[..., 0]))
         return lanewise_mean((actions - self._data.actions(index)).square().sum(dim=-1))

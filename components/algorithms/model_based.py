@@ -1,12 +1,12 @@
 """Model-based policy optimisation without any constraint: the control that is meant to fail.
 
 Thesis 2.2.2 and figure 2.4: a policy is trained purely on virtual trajectories of the transition
-ensemble, here LION's at lambda 1 (:mod:`components.algorithms.lion`) with neither its penalty nor
-its distance to logged actions, and with a policy that takes no lambda:
+ensemble, here by LION's objective at proximity 1 (:mod:`components.algorithms.lion`) with neither
+its penalty nor its distance to logged actions, and with a policy that takes no proximity:
 
     loss = -mean over start states of sum_t gamma^t r_t / abs(mean return of the data)
 
-Nothing keeps the policy where the ensemble knows the system, so it learns to exploit the models'
+Nothing keeps the policy where the ensemble predicts well, so it learns to exploit the models'
 errors wherever the log explored little. What LION takes over from its authors' code (start states,
 scale of the return, member of lowest predicted reward) holds here too.
 """
@@ -77,7 +77,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations))
 
     # -- update -----------------------------------------------------------------------------

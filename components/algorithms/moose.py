@@ -1,4 +1,4 @@
-"""MOOSE: model-based offline policy search with ensembles, held back by a reconstruction penalty.
+"""MOOSE: model-based offline policy search with ensembles and a reconstruction penalty.
 
 Swazinna, Udluft, Runkler, "Overcoming Model Bias for Robust Offline Deep Reinforcement Learning"
 (2021); thesis 5.1, equations 5.4 to 5.15 and algorithm 1. The policy is trained purely on virtual
@@ -11,8 +11,8 @@ trajectories of a learned ensemble of one-step models. Per update and lane:
     P    = mean_k sum_t gamma_P^t mean_d (pi - a')_d^2     (a' decoded from a sample of q(z | s, a))
     loss = mean[-lambda R + (1 - lambda) P]                (5.14)
 
-The autoencoder rebuilds badly what was not logged, strange actions and strange states alike; the
-gradient reaches the policy through both. Models and autoencoder stay as they were fitted.
+The reconstruction error is large for actions and states unlike the logged ones; the gradient
+reaches the policy through both. Models and autoencoder are not trained further.
 
 What the thesis leaves open: errors are accumulated "similarly to the rewards", so they are
 discounted, though 5.13 prints no discount. (Undiscounted, an untrained policy, whose drifting
@@ -101,7 +101,7 @@ def mixed_return(returns: Tensor, minimum_weight: float) -> Tensor:
 
 @dataclass(frozen=True)
 class _Part:
-    """Some lanes: their policies and the fitted models these meet."""
+    """Some lanes: their policies, model environment and autoencoders."""
 
     lanes: slice
     actor: StackedMLP
@@ -149,7 +149,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations))
 
     # -- losses -----------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class Learner(StackedLearner):
     def _virtual(
         self, part: _Part, observations: Tensor, past: Tensor, latent: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """What virtual trajectories bring and cost.
+        """Returns and penalties of virtual trajectories.
 
         Args:
             part: Some lanes.
@@ -188,7 +188,7 @@ class Learner(StackedLearner):
     def _loss(
         self, part: _Part, observations: Tensor, past: Tensor, latent: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Loss ``[L]`` of some lanes, and metrics; arguments as above."""
+        """Loss ``[L]`` of some lanes, and metrics; arguments as in :meth:`_virtual`."""
         weight = self._config.return_weight
         returns, penalty, saturated = self._virtual(part, observations, past, latent)
         estimate = lanewise_mean(mixed_return(returns, self._config.minimum_weight))

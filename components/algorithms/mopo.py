@@ -1,4 +1,4 @@
-"""MOPO: soft actor-critic on short virtual trajectories whose reward pays for the model's doubt.
+"""MOPO: soft actor-critic on short virtual trajectories, penalised for the model's uncertainty.
 
 Yu et al., "MOPO: Model-based Offline Policy Optimization" (2020), in the form of the authors' code;
 thesis chapter 6.3 sweeps its penalty. Every ``rollout_every`` updates and once before the first,
@@ -10,9 +10,9 @@ the current policies are rolled out from recorded states drawn uniformly from th
     u  = max over all members k of ||std_k(s, a)||
     stored reward = r(s') - lambda u
 
-A trajectory ends where the next state has fallen, by the authors' hand-written function of each
-task, which here is read off the dataset's card, see :mod:`~components.algorithms.parts.falls`; only
-this algorithm looks there.
+A trajectory ends where the next state is a fall. The authors have a hand-written function for each
+task; here its ranges are on the dataset's card, see :mod:`~components.algorithms.parts.falls`, and
+no other algorithm uses them.
 
 The ring keeps the last ``retained_rollouts`` roll-outs. An update is one step of
 :mod:`~components.algorithms.parts.soft_actor_critic` on a batch of which a share ``real_ratio`` was
@@ -133,7 +133,7 @@ class Learner(SoftActorCritic):
             keys,
             {
                 "row": data.row_draw(config.logged),
-                # In double precision: single could not tell a million places apart.
+                # In double precision: single has too few digits for a million places.
                 "virtual": lambda g, lane, steps: g.random((steps, virtual)),
                 "next": normal_draw(batch, 1, acted),
                 "actor": normal_draw(batch, 1, acted),
@@ -182,8 +182,8 @@ class Learner(SoftActorCritic):
         Metrics show the penalty before lambda and the reward before the penalty, of all steps: also
         of those after a fall, which are never drawn.
 
-        Trajectories are made in chunks, which bounds the memory. Whatever is counted here follows
-        from the step: nothing but the ring itself has to be remembered.
+        Trajectories are made in chunks, which bounds the memory. All counters follow from the step
+        number, so the ring alone is part of the state.
         """
         config = self._config
         place = number % config.retained_rollouts * config.rollouts
@@ -193,26 +193,26 @@ class Learner(SoftActorCritic):
             drawn = self._rollout_streams.at(number * self._chunks + n)
             drawn = {name: numbers[:, :wanted] for name, numbers in drawn.items()}
             steps = list(self._unroll(drawn))
-            doubts = [uncertainty(step.prediction) for step in steps]
+            uncertainties = [uncertainty(step.prediction) for step in steps]
             frames = [step.frames for step in steps]
             self._buffer.write(
                 place + n * self._chunk,
                 drawn["start"],
                 frames,
                 [step.actions for step in steps],
-                [s.rewards - config.penalty * u for s, u in zip(steps, doubts, strict=True)],
+                [s.rewards - config.penalty * u for s, u in zip(steps, uncertainties, strict=True)],
                 None if self._healthy is None else steps_before_fall(frames, self._healthy),
             )
             seen += [
-                torch.stack([doubt, step.rewards, self._outside(step)], dim=1)
-                for step, doubt in zip(steps, doubts, strict=True)
+                torch.stack([u, step.rewards, self._outside(step)], dim=1)
+                for step, u in zip(steps, uncertainties, strict=True)
             ]
-        doubt, reward, outside = torch.cat(seen, dim=2).unbind(dim=1)
+        penalty, reward, outside = torch.cat(seen, dim=2).unbind(dim=1)
         return {
-            "model/penalty": doubt.mean(dim=1),
+            "model/penalty": penalty.mean(dim=1),
             "model/virtual_reward": reward.mean(dim=1),
             "model/outside_share": outside.mean(dim=1),
-        } | {f"model/penalty_{percent}": percentile(doubt, percent) for percent in PERCENTILES}
+        } | {f"model/penalty_{percent}": percentile(penalty, percent) for percent in PERCENTILES}
 
     def _outside(self, step: RolloutStep) -> Tensor:
         """1 where a frame was drawn outside the range of the training data, else 0: ``[L, B]``."""
@@ -242,7 +242,7 @@ class Learner(SoftActorCritic):
         return min(step // self._config.rollout_every + 1, self._config.retained_rollouts)
 
     def branch(self, step: int) -> int | None:
-        """How full the buffer is; a step with a roll-out is unlike others."""
+        """Number of roll-outs in the buffer; None for a step that begins with a roll-out."""
         return self._kept(step) if step % self._config.rollout_every else None
 
     def update(self, step: int) -> dict[str, Tensor]:
@@ -261,13 +261,13 @@ def uncertainty(prediction: Prediction) -> Tensor:
         ValueError: If the members are deterministic.
     """
     if prediction.spread is None:
-        raise ValueError("The penalty needs Gaussian members; deterministic ones show no doubt.")
+        raise ValueError("The penalty needs Gaussian members; deterministic ones have no spread.")
     norms: Tensor = torch.linalg.vector_norm(prediction.spread, dim=1)
     return norms.amax(dim=1)
 
 
 def percentile(values: Tensor, percent: int) -> Tensor:
-    """Of ``values [L, N]``: the least one that so many percent do not exceed, ``[L]``."""
+    """Percentile ``[L]`` of ``values [L, N]``, without interpolation: one of the values."""
     rank = -(-percent * values.shape[1] // 100)
     return values.kthvalue(rank, dim=1).values
 

@@ -14,10 +14,10 @@ Deployed is the mean action, clipped to [-1, 1].
 
 The authors' paper and code disagree; taken is the paper's process with the code's planner. HALT is
 absorbing and pays the least logged reward less an offset; the code cuts trajectories off with an
-extra of 0 and, by a slip, bootstraps from the network behind the cut, which never happens here. The
+extra of 0 and, by a slip, bootstraps from the network after the cut, which never happens here. The
 threshold is mean + beta std; in the code it is the log's maximum over a coefficient. The paper pays
-the unknown step's own reward before HALT's begin; here that reward depends on the next frame, which
-is the unknown thing, so HALT pays from that step on.
+the unknown step's own reward before those of HALT; here that reward depends on the next frame,
+which is unknown, so HALT pays from that step on.
 
 disc is measured on the standardised learned features of the newest frame. On the Industrial
 Benchmark beta = 5 of the authors' 0, 5 ... 25: on `mediocre-0.4` the log's largest disc lies 9.8
@@ -26,16 +26,17 @@ step of 700, 3 one of 80, with which most logged windows of 100 steps would halt
 divided by 100 already: an offset of 1 is about one deviation of a logged reward (the authors' 30 to
 200 are for MuJoCo). Half the trajectories begin where logged ones do, whose histories are padded,
 half at any logged state. Actions are clamped to the box inside the model (the authors' environment
-does it). A fall is nothing of its own: the models have learned that it is absorbing.
+does it). Falls have no rule of their own: the models have learned that they are absorbing.
 
 Deviations: gamma is the thesis's 0.97 and H the evaluation's 100 steps (0.999 and 500). Conjugate
 gradients start at zero (at g), which makes the step's length exact. F is estimated from a random
 part of the live samples: with 5,000 of 20,000 the true divergence was 1.0 to 1.4 times as large as
 with all, for a third less time. Time enters the baseline as a share of H, targets as multiples of
 the log's mean return, and a trajectory's end is bootstrapped from the state after its last step
-(from the last one). Baseline batches hold live samples only, repeated where few live; trajectories
-shorter than five steps count. Pretraining takes a fixed number of updates, 5 epochs of 100,000
-transitions. The authors keep the policy of the best real evaluation; nothing is evaluated here.
+(from the last one). Baseline batches hold live samples only, repeated where these are few;
+trajectories shorter than five steps count. Pretraining takes a fixed number of updates, 5 epochs of
+100,000 transitions. The authors keep the policy of the best real evaluation; nothing is evaluated
+here.
 """
 
 from dataclasses import dataclass, replace
@@ -151,7 +152,7 @@ class Learner(StackedLearner):
             "critic": adam(list(self._critic.parameters()), rate, WEIGHT_DECAY),
         }
         self._pretraining_streams = LaneStreams(keys, {"row": data.row_draw(config.batch)}, device)
-        # An update draws so much that more than one of them at a time would fill the memory.
+        # The draws of more than one update at a time would need too much memory.
         self._streams = LaneStreams(keys, self._draws(), device, block=1)
 
     def _draws(self) -> dict[str, Draw]:
@@ -175,7 +176,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         mean: Tensor = self._actor(observations)
         return mean.clamp(-1.0, 1.0)
 
@@ -247,7 +248,7 @@ class Learner(StackedLearner):
     # -- update -----------------------------------------------------------------------------
 
     def branch(self, step: int) -> None:
-        """No two updates are alike: how many samples live on is part of their shape."""
+        """None: the number of live samples, a shape of the update's tensors, changes each time."""
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on all lanes: of pretraining at first, then a natural gradient step."""

@@ -1,4 +1,4 @@
-"""RvS-R: supervised learning conditioned on the return that shall be achieved.
+"""RvS-R: supervised learning conditioned on the return to be achieved.
 
 Emmons, Eysenbach, Kostrikov, Levine, "RvS: What is Essential for Offline RL via Supervised
 Learning?" (2022); the comparison of thesis chapter 6. A Gaussian policy with one learned standard
@@ -7,13 +7,13 @@ the return that the log achieved from there:
 
     loss = -mean log N(a; mu(s, w), sigma^2),   w_t = sum_{k < 100} gamma^k r_{t+k}
 
-Deployed is the mean, clipped to the action box, for a wanted return that is held for the whole
-episode. Here the operator's dial sets it: lambda = 0 asks for the log's mean, lambda = 1 for the
-best it ever achieved over 100 steps. After a true terminal nothing is earned any more.
+Deployed is the mean, clipped to the action box, for a wanted return that is constant in an
+episode. Here the proximity sets it: 0 asks for the mean return of the log, 1 for its best return
+over 100 steps. After a terminal state rewards are 0.
 
 The authors condition on the average reward to go; the thesis speaks of the return, on whose
 discounted scale its figure is drawn, so that is taken, over the window in which policies are
-judged (the last steps of a trajectory have no such window and are left out). More deviations:
+evaluated (the last steps of a trajectory have no such window and are left out). More deviations:
 batches of 256, shuffled, for 10,000 updates instead of 16,384 for 2,000 epochs; PyTorch's default
 initial weights; observation and return are standardised.
 """
@@ -73,8 +73,8 @@ def _achieved(dataset: OfflineDataset, config: Config) -> tuple[np.ndarray, np.n
     for start, end in zip(dataset.episode_starts[:-1], dataset.episode_starts[1:], strict=True):
         absorbed = config.window - 1 if dataset.terminated[end - 1] else 0
         if end - start + absorbed >= config.window:
-            earned = np.pad(dataset.rewards[start:end], (0, absorbed))
-            of_episode = window_returns(earned, config.discount, config.window)
+            padded = np.pad(dataset.rewards[start:end], (0, absorbed))
+            of_episode = window_returns(padded, config.discount, config.window)
             rows.append(start + np.arange(len(of_episode)))
             returns.append(of_episode)
     if not rows:
@@ -111,7 +111,7 @@ class Learner(StackedLearner):
             everywhere = np.zeros(max(data.counts), np.float32)
             everywhere[rows] = scaling.apply(torch.from_numpy(returns[:, None])).squeeze(1).numpy()
             scaled.append(torch.from_numpy(everywhere))
-            # lambda 0 asks for the mean and lambda 1 for the best: affine in the scaled return.
+            # Proximity 0 asks for the mean and 1 for the best: affine in the scaled return.
             best = torch.tensor([returns.max() - returns.mean()]).float().clamp(min=1e-6)
             scalings.append(Normaliser(torch.zeros(1), scaling.scale / best))
         self._returns = torch.stack(scaled).to(device)  # [L, N], scaled
@@ -133,7 +133,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         scaling = self._proximity_scaling
         wanted = (needed(proximity, "proximity") - scaling.mean) / scaling.scale
         return self._means(observations, wanted).clamp(-1.0, 1.0)

@@ -71,7 +71,7 @@ class Config:
 class Learner(StackedLearner):
     """A stack of TD3+BC learners, one lane per (dataset, seed)."""
 
-    _further_inputs = 0  # of all networks, behind the observation
+    _further_inputs = 0  # of all networks, after the observation
 
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data
@@ -108,7 +108,7 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations))
 
     # -- losses -----------------------------------------------------------------------------
@@ -144,7 +144,7 @@ class Learner(StackedLearner):
     # -- update -----------------------------------------------------------------------------
 
     def branch(self, step: int) -> bool:
-        """Whether the actor learns, too."""
+        """Whether the update includes the actor and the targets."""
         return (step + 1) % self._config.actor_every == 0
 
     def update(self, step: int) -> dict[str, Tensor]:

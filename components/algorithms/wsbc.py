@@ -1,27 +1,28 @@
-"""WSBC: the policy is searched for in a small box around the weights of the cloned behaviour.
+"""WSBC: the policy is searched for in a small box around the weights of the behaviour policy.
 
 Swazinna, Udluft, Hein, Runkler, "Behavior Constraining in Weight Space for Offline Reinforcement
 Learning" (2021); thesis 5.2, equations 5.17 to 5.20 and algorithm 2. There is no gradient: a swarm
-of particles, each the weights of a policy of the clone's own architecture, looks for the largest
+of particles, each the weights of a policy of the behaviour policy's architecture, maximises
 
     L(theta) = mean over start states of sum_t gamma^t r_t                               (5.17)
 
 on virtual trajectories of the transition ensemble, every step taking the member of lowest predicted
-reward. Every weight stays within ``psi - d`` and ``psi + d`` of the clone's (5.20). An update is an
-iteration of the swarm: all particles are evaluated on the same start states, remember their best
-positions and move. The policy of an iteration is the best position any particle has had so far.
+reward. Every weight stays between ``psi - d`` and ``psi + d``, where ``psi`` is the behaviour
+policy's (5.20). An update is an iteration of the swarm: all particles are evaluated on the same
+start states, store their best positions and move. The policy of an iteration is the best position
+of any particle so far.
 
 Equation 5.21 misprints the velocity (the neighbourhood's best twice, no inertia); here it is 2.57
 with the constants of thesis 2.6. The text leaves open and this module decides:
 
-- particle 0 begins as the clone itself, the others uniformly in its box; the first iteration
-  evaluates them where they begin;
+- particle 0 begins as the behaviour policy itself, the others uniformly in the box; the first
+  iteration evaluates them where they begin;
 - no velocity exceeds half the width of the box; by the returns of five seeds on three datasets
   (README), this swarm seems to come as far in 10 to 20 iterations as the thesis's in its 100;
 - start states are drawn once per lane, as LION's from the first 30 steps of trajectories, near
-  which policies are judged (algorithm 2 says from the log; ``start_window`` and ``start_after``);
-- the box is on the weights as the clone's artifact stores them: policies see frames in the clone's
-  own scaling and are deployed with it.
+  which policies are evaluated (algorithm 2 says from the log; ``start_window``, ``start_after``);
+- the box is on the weights as the behaviour policy's artifact stores them: policies see frames in
+  its scaling and are deployed with it.
 """
 
 from collections.abc import Sequence
@@ -95,19 +96,19 @@ class Learner(StackedLearner):
         self._config, self._data = config, inputs.data
         data, device = inputs.data, inputs.data.device
         self.lanes = data.lanes
-        clones = inputs.fitted("behaviour_policy", Policy)
-        self._behaviour = Policy.concatenate(clones[0].card, clones).to(device)
+        behaviours = inputs.fitted("behaviour_policy", Policy)
+        self._behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
         ensembles = inputs.fitted("recurrent_ensemble", RecurrentEnsemble)
         self._environment = ModelEnvironment(
             RecurrentTransition(ensembles, device), inputs.dynamics, self._behaviour.frames, device
         )
         starts = self._starts(inputs.keys)
-        clone = self._behaviour.frames  # in whose scaling all particles see
+        scaling = self._behaviour.frames
         raw = data.raw_histories(starts)
-        scaled = (raw - clone.mean[:, None, None]) / clone.scale[:, None, None]
+        scaled = (raw - scaling.mean[:, None, None]) / scaling.scale[:, None, None]
         self._observations = scaled.flatten(2)
         _, past = data.start_states(starts, self._environment.model.memory)
-        # What the ensemble remembers of the record before the start: the same for all particles.
+        # The ensemble's hidden state after the recorded frames: the same for all particles.
         self._begun = self._environment.model.begin(past[:, None])
         self._newest = past[:, :, :1]
         self._centre = torch.cat(
@@ -124,7 +125,7 @@ class Learner(StackedLearner):
                 "ring": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
             },
             device,
-            block=1,  # two numbers per weight of every particle fill memory
+            block=1,  # a step draws two numbers per weight of every particle
         )
 
     def _starts(self, keys: Sequence[int]) -> Tensor:
@@ -140,7 +141,7 @@ class Learner(StackedLearner):
         return torch.from_numpy(np.stack(rows)).to(data.device)
 
     def _first_swarm(self, keys: Sequence[int]) -> Swarm:
-        """The clone itself, and the other particles uniformly in the box around it."""
+        """The behaviour policy, and the other particles uniformly in the box around it."""
         config, centre = self._config, self._centre
         size = (config.particles, centre.shape[1])
         drawn = [g.uniform(-1.0, 1.0, size) for g in spawn_generators(keys, "positions")]
@@ -169,11 +170,11 @@ class Learner(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return self._act_by(self._best_layers(), observations)
 
     def _best_layers(self) -> Layers:
-        """Those of the best policies so far."""
+        """Layers of the best policies so far."""
         return self._layers(self._swarm.best[:, None])
 
     def _act_by(self, layers: Layers, observations: Tensor) -> Tensor:
@@ -228,7 +229,7 @@ class Learner(StackedLearner):
     # -- what is deployed ------------------------------------------------------------------------
 
     def policy(self, card: PolicyCard) -> Policy:
-        """The best policies so far, one per lane; before the first update the clones."""
+        """The best policies so far, one per lane; at first the behaviour policies."""
         return Policy.of_networks(card, {"actor": self._best_layers()}, self._behaviour.frames)
 
 

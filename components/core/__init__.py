@@ -1,5 +1,5 @@
-"""What every other room stands on: random streams, the normaliser of features, files.
+"""Foundations that every other room uses: random streams, the normaliser of features, files.
 
-In: names of lanes, arrays, paths. Out: their random numbers, scaled features, and files that
-appear whole or not at all, each read back or refused in one sentence.
+In: names of lanes, arrays, paths. Out: random generators, scaled features, and files that appear
+complete or not at all; a file that cannot be read ends in one sentence with the remedy.
 """

@@ -1,4 +1,4 @@
-"""Cards: frozen dataclasses in JSON files that say what lies beside them.
+"""Cards: frozen dataclasses, stored as JSON files, that describe the artifact beside them.
 
 A card that cannot be used ends in one sentence that names the file and the remedy.
 """
@@ -19,16 +19,16 @@ C = TypeVar("C")
 class CardFormat(Generic[C]):
     """How cards of one kind are stored.
 
-    A card in a file has a value for every field of the dataclass, but for those with a plain
-    default, and for no other; what the dataclass itself refuses is refused here, too.
+    The file holds every field of the dataclass that has no plain default, and no unknown field. An
+    error that the dataclass raises is reported like an error of the file.
 
     Attributes:
         kind: The dataclass. Its fields of tuples are lists in the file.
         what: What a card is about, for messages, e.g. "policy".
         remedy: What to do about a card that cannot be used, e.g. "train the policy again".
         version: Key and value that cards of this format have; None where there are no versions.
-        amend: Changes the values of a file where their names differ from the fields', or where
-            older files lack some.
+        amend: Adapts a file's values in place: renames stored names to those of the fields and
+            fills in what older files lack.
     """
 
     kind: Callable[..., C]
@@ -42,7 +42,7 @@ class CardFormat(Generic[C]):
 
         Raises:
             FileNotFoundError: There is none.
-            ValueError: It is damaged, of another version, or has not the fields of its kind.
+            ValueError: It is damaged, of another version, or has other fields than the dataclass.
         """
         if not path.is_file():
             raise FileNotFoundError(
@@ -58,7 +58,8 @@ class CardFormat(Generic[C]):
             source: Where the text was, for messages.
 
         Raises:
-            ValueError: The text is damaged, of another version, or has not the fields of its kind.
+            ValueError: The text is damaged, of another version, or has other fields than the
+                dataclass.
         """
         try:
             return self._card(text)

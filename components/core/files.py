@@ -1,7 +1,7 @@
-"""Files and folders that appear whole or not at all.
+"""Atomic writes: a file or folder appears complete or not at all.
 
-Everything is written under a temporary name beside its own and renamed when it is whole. An error
-removes the temporary file; a killed process leaves it behind, hidden.
+Everything is written under a temporary name beside its own and renamed when it is complete. An
+error removes the temporary file; a killed process leaves it behind, hidden.
 """
 
 import json
@@ -18,14 +18,14 @@ __all__ = ["read_json", "replacing", "temporary_name", "write_json", "write_text
 
 @contextmanager
 def temporary_name(path: Path) -> Iterator[Path]:
-    """Lend a hidden name beside ``path``, for a file or a folder.
+    """Provide a hidden temporary name beside ``path``, for a file or a folder.
 
     Args:
-        path: What is to be written in the end. Its suffix is kept, since some writers choose their
-            format by it.
+        path: The final name. Its suffix is kept, since some writers choose their format by it.
 
     Yields:
-        The name, which nothing has yet; what lies there at the end of the block is removed.
+        The temporary name, not in use yet. A file or folder that has it at the end of the block is
+        removed.
     """
     temporary = path.with_name(f".{path.name}-{uuid.uuid4().hex[:12]}{path.suffix}")
     try:
@@ -39,10 +39,10 @@ def temporary_name(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Lend a temporary name; what lies there takes the place of ``path`` unless the block fails.
+    """Provide a temporary name; what is written there replaces ``path`` unless the block raises.
 
     Raises:
-        OSError: The place cannot be taken, for example by a folder where a filled one lies.
+        OSError: ``path`` cannot be replaced, for example because it is a folder with content.
     """
     with temporary_name(path) as temporary:
         yield temporary

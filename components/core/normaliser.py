@@ -1,4 +1,4 @@
-"""Affine scaling of features, fitted on data and stored with what was trained on scaled data."""
+"""Affine scaling of features, fitted to data and stored with the networks that read scaled data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

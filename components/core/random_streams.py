@@ -1,15 +1,15 @@
 """Random streams of lanes: every draw is a pure function of (lane key, purpose, block number).
 
-A lane's numbers may depend on nothing but its own name, typically (dataset, algorithm, seed).
-NumPy's counter-based Philox generator gives that without carried state: a lane key selects the
-stream, the block number selects a place in it. Therefore
+A lane's numbers depend only on its own name, typically (dataset, algorithm, seed). NumPy's
+counter-based Philox generator gives that without carried state: a lane key selects the stream, the
+block number selects a place in it. Therefore
 
-- neighbours in a stack cannot disturb one another,
-- a resumed run continues with the very numbers an uninterrupted run would have drawn, and the only
-  "random state" a checkpoint needs is the step counter,
-- the numbers do not depend on the device that consumes them.
+- the lanes of a stack do not influence one another,
+- a resumed run continues with the numbers that an uninterrupted run would have drawn, and the only
+  random state in a checkpoint is the step counter,
+- the numbers do not depend on the device that uses them.
 
-Drawing is done for whole blocks of steps, so that an update does not loop over lanes.
+Numbers are drawn for whole blocks of steps, so that an update does not loop over lanes.
 """
 
 import hashlib
@@ -63,7 +63,7 @@ class LaneStreams:
     Args:
         keys: One stream key per lane, see :func:`lane_key`.
         draws: Named drawing rules; each is called once per lane and block.
-        device: Where the drawn tensors shall live.
+        device: Device of the drawn tensors.
         block: Steps drawn at once. Part of the stream's identity: changing it changes the numbers.
     """
 
@@ -93,7 +93,7 @@ class LaneStreams:
         return {name: block[offset] for name, block in self._cache.items()}
 
     def stage(self, step: int) -> None:
-        """Put a step's tensors where those of all staged steps lie, for CUDA graphs to read."""
+        """Copy a step's tensors into the same memory at every step, from which CUDA graphs read."""
         fresh = self.at(step)
         if not self._stage:
             self._stage = {name: tensor.clone() for name, tensor in fresh.items()}

@@ -1,4 +1,4 @@
-"""Tensors on disk: safetensors files that appear whole or not at all and are never unpickled."""
+"""Tensors on disk: safetensors files, written atomically and read without unpickling."""
 
 import errno
 import json
@@ -25,13 +25,13 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str,
     metadata = {"header": json.dumps(header)}
     with replacing(path) as temporary:
         temporary.touch()
-        ordinary = temporary.stat().st_mode
+        mode = temporary.stat().st_mode
         try:
             save_file(contiguous, temporary, metadata=metadata)
         except SafetensorError as error:
             full = f"os error {errno.ENOSPC}" in str(error)
             raise OSError(errno.ENOSPC if full else errno.EIO, str(error), str(path)) from error
-        temporary.chmod(ordinary)  # safetensors makes files that only their owner may read
+        temporary.chmod(mode)  # safetensors makes files that only their owner may read
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -1,12 +1,12 @@
-"""Logs that go on after a fall, from which models learn that nothing happens there any more.
+"""Extend logs beyond terminal states, so that models learn that these are absorbing.
 
-Evaluation absorbs: after a true terminal a system stays where it is, whatever is done, and earns
-nothing. A log ends there, so that a model of it would have to guess. Here the terminal frame is
-repeated, with reward 0.
+In evaluation terminal states are absorbing: the system stays in the state whatever the actions, and
+all rewards are 0. A log ends with the state, so a model of the log would have to extrapolate. Here
+the terminal frame is repeated, with reward 0.
 
-The actions beside it are the episode's own once more, from the last one back. Zeros in their place,
-which are logged nowhere else, would let a model tell the end from the action instead of the state,
-and then never find it where a policy keeps acting.
+The actions of the added transitions are those of the episode again, from the last one backwards.
+Zero actions, which occur nowhere else in a log, would let a model recognise terminal states by the
+action instead of the frame, and miss them when a policy keeps acting.
 """
 
 from dataclasses import replace
@@ -19,14 +19,15 @@ __all__ = ["with_absorbing_states"]
 
 
 def with_absorbing_states(dataset: OfflineDataset, steps: int) -> OfflineDataset:
-    """The log with every truly terminated episode continued in its terminal state.
+    """The log with every terminated episode continued in its terminal state.
 
     Args:
-        dataset: The log; without terminals it is returned as it is. Time-outs are left alone.
-        steps: Absorbed transitions after each terminal.
+        dataset: The log; without terminal states it is returned as it is. Episodes that end by
+            time-out are not changed.
+        steps: Transitions added after each terminal state.
 
     Returns:
-        A log in memory whose added transitions are terminal as well.
+        A log in memory whose added transitions are terminal, too.
     """
     starts, ends = dataset.episode_starts[:-1], dataset.episode_starts[1:]
     ended = np.flatnonzero(dataset.terminated[ends - 1])

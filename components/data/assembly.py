@@ -1,4 +1,4 @@
-"""From logged arrays to a dataset: what its card says of them is computed in one place."""
+"""Make a dataset of logged arrays: compute the card's statistics of them, in one place."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,20 +12,22 @@ from components.data.returns import RETURN_STEPS, log_returns
 __all__ = ["assemble"]
 
 
-def assemble(arrays: Mapping[str, NDArray[Any]], *, discount: float, **told: Any) -> OfflineDataset:
-    """A dataset with its card.
+def assemble(
+    arrays: Mapping[str, NDArray[Any]], *, discount: float, **card_fields: Any
+) -> OfflineDataset:
+    """Make a dataset with its card.
 
     Args:
         arrays: Those of :class:`OfflineDataset`, by name.
-        discount: Of the returns on the card.
-        told: The fields of the card that arrays cannot tell.
+        discount: Gamma of the returns on the card.
+        card_fields: The fields of the card that do not follow from the arrays.
 
     Raises:
         ValueError: No episode has a whole window of returns.
     """
     lengths, terminated = np.diff(arrays["episode_starts"]), arrays["terminated"]
     longest = int(lengths.max())
-    # Falls are absorbing, so their windows are always whole.
+    # Rewards after a terminal state are 0, so windows that reach beyond one are complete.
     return_steps = RETURN_STEPS if terminated.any() else min(RETURN_STEPS, longest)
     returns = log_returns(
         arrays["rewards"], terminated, arrays["episode_starts"], discount, return_steps
@@ -41,6 +43,6 @@ def assemble(arrays: Mapping[str, NDArray[Any]], *, discount: float, **told: Any
         first_window_return_max=float(returns.first.max()),
         all_windows_return_mean=float(returns.every.mean()),
         digest=array_digest(arrays),
-        **told,
+        **card_fields,
     )
     return OfflineDataset(card=card, **arrays)

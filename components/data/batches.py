@@ -2,7 +2,7 @@
 
 Lanes of the same dataset share its frames. Frames are scaled once, when they are loaded, and laid
 out in tables from which histories are gathered (:mod:`components.data.frame_table`). Model-based
-learners also read frames as they were logged; their tables are made when they are first asked for.
+learners also read unscaled frames; their tables are made on first use.
 """
 
 from collections.abc import Callable, Sequence
@@ -142,11 +142,11 @@ class LaneData:
         return found.view(*index.shape, self.history, -1)
 
     def start_states(self, index: Tensor, frames: int) -> tuple[Tensor, Tensor]:
-        """What policies and models know of the past of transitions ``index [L, B]``.
+        """Observations and model frames up to the states of transitions ``index [L, B]``.
 
         Args:
             index: Counted within each lane's dataset.
-            frames: G, model frames that a model begins with.
+            frames: G, model frames that a transition model reads before its first prediction.
 
         Returns:
             Observations ``[L, B, O]`` as policies see them; model frames ``[L, B, G, M]``, newest
@@ -162,7 +162,7 @@ class LaneData:
         return self.observations(index), found.view(*index.shape, frames, -1)
 
     def _model_table(self, frames: int) -> tuple[LogLayout, FrameTable]:
-        """Model frames, for pasts of so many; a short past fits into the policies' layout."""
+        """Table of model frames for pasts of ``frames``; short ones use the policies' layout."""
         fits = frames <= self.history + 1
         layout = self._layout if fits else LogLayout(self._distinct, frames, self.device)
         tables = [torch.from_numpy(model_frames(d, self._dynamics)) for d in self._distinct]
@@ -170,7 +170,7 @@ class LaneData:
 
     @cached_property
     def _raw(self) -> FrameTable:
-        """Frames as logged, in the order of the scaled ones; only model-based learners want it."""
+        """Frames as logged, in the order of the scaled ones; for model-based learners alone."""
         return self._layout.table([torch.from_numpy(np.array(d.frames)) for d in self._distinct])
 
     @cached_property

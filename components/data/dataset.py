@@ -59,7 +59,7 @@ class DatasetCard:
         environment_parameters: its parameters, e.g. {"setpoint": 70.0}.
         controller: name of the controller that logged it.
         controller_digest: of its weights, where it is a trained policy; empty for a formula.
-        epsilon: chance per step of a whole random action vector.
+        epsilon: probability per step that the whole action vector is random.
         noise: deviation of the Gaussian noise on the controller's own actions, before clipping.
         seed: of the generation; the random stream depends on name and seed alone.
         trajectories: number of episodes.
@@ -69,10 +69,10 @@ class DatasetCard:
         history: frames in an observation, newest first.
         frame_features: names of the values of a frame.
         action_features: names of the values of an action, each in [-1, 1].
-        dynamics: what is known of the system without learning, see `dynamics.py`: `known`
-            (`features`, whose last ones follow the actions, and what these `keep`, `scale`, `low`
-            and `high`), `learned` (features to be predicted) and `reward` (weights of these);
-            optionally `healthy` (ranges of frame features outside of which it has fallen).
+        dynamics: the dynamics specification, see `dynamics.py`: `known` (`features`, whose last
+            ones follow the actions, with their `keep`, `scale`, `low` and `high`), `learned`
+            (features to be predicted) and `reward` (weights of these); optionally `healthy`
+            (ranges of frame features outside of which the system has fallen).
         simulator: name and version of the physics engine; empty where it is this package.
         return_steps: window length of all returns below; after a terminal state rewards are 0.
         first_window_return_mean: mean over episodes of the return of the first window, the
@@ -146,7 +146,7 @@ class DatasetCard:
 
 
 def _amend(values: dict[str, Any]) -> None:
-    if {"trajectories", "steps"} <= values.keys():  # on older cards, all episodes are as long
+    if {"trajectories", "steps"} <= values.keys():  # older cards: all episodes of equal length
         values.setdefault("transitions", values["trajectories"] * values["steps"])
     if _DYNAMICS in values:
         values["dynamics"] = values.pop(_DYNAMICS)

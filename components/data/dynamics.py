@@ -1,16 +1,16 @@
-"""What is known of a system without learning, and the frames by which models see it.
+"""The dynamics specification, what is known of a system without learning, and model frames.
 
 A *model frame* has known features, which follow from the action exactly, and learned ones, which
 a model predicts:
 
     known' = clip(keep * known + scale * action, low, high)      reward = sum of weights * learned
 
-The dataset's card names both. The last known features bear the actions' names and follow them; any
-before these, such as a setpoint, stay what they are. The Industrial Benchmark shows its steerings,
-which keep their values and are moved by the action. Of a robot nothing is known but the action
-itself (keep 0, scale 1), and everything it shows is learned, its reward included. The model frame
-of a state is put together by name from what the log holds: the frame, the action before it, the
-reward with it.
+The dataset's card names both. The last known features have the names of the actions and follow
+them; any before these, such as a setpoint, are constant. On the Industrial Benchmark the known
+features are its steerings, which keep their values and are moved by the action. Of a robot only the
+action itself is known (keep 0, scale 1), and all observed features and the reward are learned. The
+model frame of a state is assembled by name from the log: the frame, the action before it and the
+reward received with it.
 """
 
 from dataclasses import dataclass
@@ -29,19 +29,19 @@ REWARD: Final = "reward"
 
 @dataclass(frozen=True)
 class DynamicsSpecification:
-    """What a dataset's card says about its system.
+    """What a dataset's card says about the dynamics of its system.
 
     Attributes:
         known: Names of the features that follow from the action.
         learned: Names of those that are predicted; both together are a model frame.
-        keep: What remains of a known feature, for each action.
-        scale: What a unit of the action adds to it.
+        keep: For each action, the factor of its feature's old value.
+        scale: For each action, the factor of the action.
         low: Smallest value of a feature that follows an action.
-        high: Largest.
+        high: Largest value of it.
         reward: Weight of each learned feature in the reward.
-        sources: Place of each feature in (frame, action before it, reward with it).
-        observed: Where the features that policies see, those of the log's frames, begin among a
-            model frame's, and where they end.
+        sources: Index of each feature in (frame, action before it, reward with it).
+        observed: Index of the first feature that policies see (those of the log's frames), and of
+            the first one after these.
     """
 
     known: tuple[str, ...]
@@ -56,10 +56,10 @@ class DynamicsSpecification:
 
     @classmethod
     def of_card(cls, card: DatasetCard) -> "DynamicsSpecification":
-        """Read the rule off a dataset's card.
+        """Read the specification from a dataset's card.
 
         Raises:
-            ValueError: If the card does not tell how actions move the system, or tells it of
+            ValueError: If the card's specification lacks a part, contradicts itself, or names
                 features that the dataset does not log.
         """
         try:
@@ -111,31 +111,31 @@ class DynamicsSpecification:
 
     @property
     def hides(self) -> bool:
-        """Whether policies see less than model frames."""
+        """Whether policies see less than a model frame."""
         return self.observed != (0, len(self.features))
 
     @property
     def shown(self) -> tuple[bool, ...]:
-        """Of each learned feature, whether policies see it."""
+        """Whether policies see each of the learned features."""
         first, last = self.observed
         return tuple(first <= n < last for n in range(len(self.known), len(self.features)))
 
 
-def model_frames(dataset: OfflineDataset, rule: DynamicsSpecification) -> NDArray[np.float32]:
+def model_frames(dataset: OfflineDataset, dynamics: DynamicsSpecification) -> NDArray[np.float32]:
     """Model frames ``[N + E, M]`` of all states of a log.
 
-    What only a transition can tell, the action before a state and the reward received with it, is
-    0 in the first frame of an episode.
+    The action before a state and the reward received with it are 0 in the first frame of an
+    episode, which has no transition before it.
 
     Args:
-        dataset: The log; where its frames are model frames, they are returned as they are.
-        rule: Read off its card.
+        dataset: The log; if its frames are model frames, they are returned as they are.
+        dynamics: The specification on its card.
     """
-    if not rule.hides:
+    if not dynamics.hides:
         return dataset.frames
     acted = dataset.actions.shape[1]
     before = np.zeros((len(dataset.frames), acted + 1), np.float32)
     after = dataset.frame_rows() + 1
     before[after, :acted], before[after, acted] = dataset.actions, dataset.rewards
     frames: NDArray[np.float32] = np.concatenate([dataset.frames, before], axis=1)
-    return frames[:, rule.sources]
+    return frames[:, dynamics.sources]

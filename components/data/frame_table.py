@@ -1,9 +1,9 @@
-"""Frames in a table from which any history is one run of memory.
+"""Tables of frames in which every history is contiguous in memory.
 
-Rows stand newest first. The frames of a history then lie one behind the other, a batch of histories
-is one strided gather, and the table of stacked histories, up to thirty times as wide, never exists.
-Logs are laid out like that once, for scaled and raw frames alike; virtual trajectories as they are
-made.
+Rows are ordered newest first, so the frames of a history lie one after the other. A batch of
+histories is one strided gather, and stacked histories, up to thirty times as large, are never
+stored. Logs are laid out once, for scaled and raw frames alike; virtual trajectories are laid out
+as they are made.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class FrameTable:
         self._rows = rows
 
     def windows(self, newest: Tensor, length: int) -> Tensor:
-        """Histories of the rows ``newest [...]`` and those after them.
+        """Histories: the rows ``newest [...]`` and the ``length - 1`` rows after each.
 
         Returns:
             ``[..., length * F]``, flattened frame by frame.
@@ -41,12 +41,12 @@ class FrameTable:
 class LogLayout:
     """The order of several logs' frames in tables that share it.
 
-    The first frame of an episode is repeated behind it, for histories that begin before it.
+    The first frame of an episode is repeated after it, for histories that begin before the episode.
 
     Args:
-        logs: Whose frames they are; transitions are counted through all of them.
+        logs: The logs; transitions are numbered through all of them.
         length: Frames of the longest history wanted.
-        device: Where the tables lie.
+        device: Device of the tables.
     """
 
     def __init__(self, logs: Sequence[OfflineDataset], length: int, device: torch.device) -> None:
@@ -60,6 +60,6 @@ class LogLayout:
         self.newest = torch.cat(newest).to(device)  # [N] row of every transition's newest frame
 
     def table(self, frames: Sequence[Tensor]) -> FrameTable:
-        """The table of something known of every frame of the logs, ``[N + E, F]`` each."""
+        """Table of features of the logs' frames, given as ``[N + E, F]`` per log."""
         laid = [own[order] for own, order in zip(frames, self._orders, strict=True)]
         return FrameTable(torch.cat(laid).to(self._device))

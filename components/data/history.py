@@ -1,8 +1,8 @@
 """Observation histories from frames stored once.
 
-An observation is the last L frames, newest first; before the episode had L frames, its first frame
-stands for the missing ones. Rows of frames are found by arithmetic, so a batch of histories is one
-gather; where many batches are drawn, the frames are laid out so that it is one run of rows.
+An observation is the last L frames, newest first; while the episode has fewer, its first frame is
+repeated. Row numbers are computed, so a batch of histories is one gather. Where many batches are
+drawn, frames are laid out so that every history is a run of consecutive rows.
 """
 
 import numpy as np
@@ -47,10 +47,10 @@ def gather_history(
 
 
 def newest_first(episode_starts: NDArray[np.int64], length: int) -> tuple[Rows, Rows]:
-    """An order of frames in which every history of ``length`` frames is one run of rows.
+    """An order of frames in which every history of ``length`` frames is a run of rows.
 
-    Every episode is laid out from its last frame to its first, which is repeated: a history then
-    reads on into the repetitions where the episode had fewer frames.
+    Every episode is laid out from its last frame to its first, which is then repeated: where the
+    episode has fewer frames than a history, the history ends in the repetitions.
 
     Args:
         episode_starts: `[E + 1]` first transition of each episode, and their number N.

@@ -68,9 +68,9 @@ def log_returns(
 ) -> LogReturns:
     """Discounted returns of the windows of a log, as evaluation counts them.
 
-    A terminal state is absorbing: windows reach beyond it, and all rewards there are 0. Nobody
-    knows what would have come after a time-out: windows that reach beyond one do not count, and
-    an episode that was cut before its first window was full has none.
+    A terminal state is absorbing: windows reach beyond it, and all rewards there are 0. What
+    follows a time-out is unknown: windows that reach beyond one do not count, and an episode
+    shorter than a window has none.
 
     Args:
         rewards: `[N]` in time order, episode by episode.
@@ -101,5 +101,5 @@ def _windows(
     for begin, end in bounds:
         absorbed = steps - 1 if terminated[end - 1] else 0
         if end - begin + absorbed >= steps:
-            lived = np.pad(np.asarray(rewards[begin:end], dtype=np.float64), (0, absorbed))
-            yield window_returns(lived, discount, steps)
+            padded = np.pad(np.asarray(rewards[begin:end], dtype=np.float64), (0, absorbed))
+            yield window_returns(padded, discount, steps)

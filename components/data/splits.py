@@ -1,4 +1,4 @@
-"""Which episodes a supervised model may see: all but the last ones, which judge it."""
+"""The split of a log for supervised models: the last episodes are held out for validation."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class EpisodeSplit:
     held_out: range
 
     def trained_transitions(self, dataset: OfflineDataset) -> int:
-        """Transitions that are trained on: the dataset's first so many."""
+        """Number of transitions in the training episodes; they are the dataset's first ones."""
         return int(dataset.episode_starts[self.train.stop])
 
 

@@ -1,8 +1,8 @@
 """The real systems, behind one registry (:mod:`.systems`).
 
-In come actions; out come frames and rewards, of many copies at once (`make_batch`), of a single
-system behind Gymnasium's interface, or pictures (:mod:`.rendering`). Only data generation, experts
-and evaluation may look in here.
+In: actions. Out: frames and rewards, of many copies at once (`make_batch`) or of a single system
+behind Gymnasium's interface, and pictures (:mod:`.rendering`). Only data generation, experts and
+evaluation import this package.
 
 Importing this package registers the systems with Gymnasium:
 `gymnasium.make("proximity/IndustrialBenchmark-v0", setpoint=70.0)` gives one machine,

@@ -1,7 +1,8 @@
 """The last L frames of N running copies, newest first, without moving them at every step.
 
-Frames are written backwards into a buffer with room to spare, so that the window `[N, L, 6]`,
-newest first, is always a view. Only when the room is used up are L - 1 frames moved to its end.
+Frames are written from the end of a buffer towards its beginning, so that the window
+`[N, L, features]`, newest first, is always a view. L - 1 frames are moved back to the end only when
+the beginning is reached.
 """
 
 import numpy as np

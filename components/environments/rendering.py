@@ -1,7 +1,7 @@
 """Pictures of a robot under a policy, drawn without a screen.
 
-MuJoCo draws through EGL (a driver, or Mesa in software) or through OSMesa; which of them works can
-only be found out by trying, in a process of its own because the first library that is loaded stays.
+MuJoCo draws through EGL (a driver, or Mesa in software) or through OSMesa. Which of them works is
+found out by trying, in a separate process because a process keeps the first library it has loaded.
 """
 
 import os
@@ -31,7 +31,7 @@ _CHOICE = "MUJOCO_GL"
 
 @dataclass(frozen=True)
 class Take:
-    """What was filmed.
+    """A filmed episode.
 
     Attributes:
         steps: of the robot.
@@ -95,7 +95,7 @@ def film(
         environment: Gymnasium id, one of `DRAWABLE`.
         parameters: of the environment, such as the physics.
         act: maps frames `[1, H, F]`, newest first, to an action `[A]`.
-        draw: takes one picture `[size, size, 3]` after the other.
+        draw: called with each picture `[size, size, 3]` in turn.
         history: frames that `act` sees, H.
         steps: at most.
         seed: of the start.
@@ -126,9 +126,9 @@ def film(
         draw(_picture(robot))
         fell = ended = False
         while not ended:
-            frame, earned, fell, late, _ = robot.step(act(frames.window))
+            frame, step_reward, fell, truncated, _ = robot.step(act(frames.window))
             frames.push(frame[None])
-            taken, reward, ended = taken + 1, reward + float(earned), fell or late
+            taken, reward, ended = taken + 1, reward + float(step_reward), fell or truncated
             if ended or taken % every == 0:
                 draw(_picture(robot))
     finally:

@@ -1,7 +1,7 @@
-"""The registry of real systems: whatever is known of one by name or Gymnasium id stands here.
+"""The registry of real systems, with all that is looked up by name or Gymnasium id.
 
-A robot comes in by its specification (:data:`.mujoco.specifications.ROBOTS`), another system by a
-record of its own.
+Robots are registered by their specifications (:data:`.mujoco.specifications.ROBOTS`), other systems
+by a record here.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ class BatchEnvironment(Protocol):
 
     @property
     def terminated(self) -> NDArray[np.bool_]:
-        """`[N]` whose state after the last step is an end, such as a fall."""
+        """`[N]` whether the state after the last step is terminal, e.g. a fall."""
 
     def reset(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Start all copies; returns the first frames `[N, F]`."""
@@ -62,11 +62,11 @@ class System:
         batch: `batch(copies, threads=..., **parameters)` makes N copies stepped together; it
             imports the simulator when it is called.
         parameters: names of its parameters.
-        dynamics: what is known of it without learning, as on a dataset's card
+        dynamics: its dynamics specification, as on a dataset's card
             (:mod:`components.data.dynamics`).
         entry_point: "package.module:Class" of a single one, for Gymnasium.
         vector_entry_point: the same of Gymnasium's vectorised interface, if it has one.
-        drawable: whether there are pictures of it.
+        drawable: whether it can be drawn.
     """
 
     name: str
@@ -80,7 +80,7 @@ class System:
 
 
 def _industrial(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
-    """Whatever threads there are: its arithmetic is NumPy's."""
+    """The Industrial Benchmark; `threads` is not used, since NumPy does all arithmetic."""
     return IndustrialBenchmark(copies, **parameters)
 
 
@@ -121,7 +121,7 @@ SYSTEMS: Final[Mapping[str, System]] = MappingProxyType(
 
 
 def drawable_systems() -> tuple[str, ...]:
-    """Gymnasium ids of the systems of which there are pictures."""
+    """Gymnasium ids of the systems that can be drawn."""
     return tuple(system.id for system in SYSTEMS.values() if system.drawable)
 
 
@@ -133,7 +133,7 @@ def make_batch(
     Args:
         environment: the id.
         copies: N.
-        threads: that step the copies; the numbers do not depend on it.
+        threads: number of threads that step the copies; the numbers do not depend on it.
         parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` of a robot.
 
     Raises:

@@ -1,4 +1,4 @@
-"""How policies are judged on the real system."""
+"""The settings with which policies are evaluated on the real system."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ class EvaluationProtocol:
 
     trajectories: int = 10  # real ones per policy and proximity
     horizon: int = 100  # steps
-    proximity_step: float = 0.05  # grid of the proximity (lambda), from 0 to 1
+    proximity_step: float = 0.05  # of the grid of proximities, from 0 to 1
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -27,7 +27,7 @@ class EvaluationProtocol:
                 f"{self.trajectories} and {self.horizon}."
             )
         step = self.proximity_step
-        # steps are counted in percent where curves are drawn over the proximity
+        # curves over the proximity count their points in whole percent
         if not 0.01 <= step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
             raise ValueError(f"proximity_step must divide 1 and be at least 0.01, got {step}.")
 

@@ -1,4 +1,4 @@
-"""Roll stored policies out on the real system: the only place that says how good they are.
+"""Roll stored policies out on the real system and compute their discounted returns.
 
 All snapshots, all proximities and all repetitions of a policy run as copies of one vectorised
 environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
@@ -60,12 +60,12 @@ def evaluate_policies(
         behaviours: For each stack the behaviour policy to measure the distance to.
         environment: Gymnasium id of the real system.
         parameters: Its parameters, such as the setpoint.
-        protocol: How they are judged.
+        protocol: Trajectories, horizon and grid of proximities.
         discount: Gamma of the reported return, above 0 and at most 1.
         keys: One random stream per stack.
         device: Where the policies act.
-        progress: Told the finished fraction.
-        threads: That step the real systems.
+        progress: Called with the finished fraction, 0 to 1.
+        threads: Number of threads that step the real systems.
 
     Returns:
         One result per stack.
@@ -80,7 +80,7 @@ def evaluate_policies(
     snapshots, repeats = policies[0].lanes, protocol.trajectories
     per_policy = len(grid) * repeats
     actors = Policy.concatenate(policies[0].card, policies).to(device)
-    clones = Policy.concatenate(behaviours[0].card, behaviours).to(device)
+    behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
     grid_values = torch.tensor(grid, device=device).repeat_interleave(repeats)
     proximity = grid_values.expand(actors.lanes, -1) if takes_proximity else None
     systems = [
@@ -103,8 +103,8 @@ def evaluate_policies(
             fresh = [generator.standard_normal(drawn, np.float32) for generator in noises]
             noise = torch.from_numpy(np.concatenate(fresh)).to(device)
         actions = actors.act(seen, proximity, noise).view(*shape, -1)
-        away: Tensor = torch.linalg.vector_norm(actions - clones.act(windows), dim=-1)
-        np.add(distance, away.cpu().numpy(), out=distance, where=running)
+        apart: Tensor = torch.linalg.vector_norm(actions - behaviour.act(windows), dim=-1)
+        np.add(distance, apart.cpu().numpy(), out=distance, where=running)
         visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
         for number, (system, history) in enumerate(zip(systems, histories, strict=True)):

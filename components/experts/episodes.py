@@ -1,4 +1,4 @@
-"""Whole episodes of a policy on the real system, one per copy, each from its own start."""
+"""Returns of whole episodes of a policy on the real system, one per copy."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,10 +26,11 @@ def episode_rewards(
         act: Maps frames ``[N, F]`` to actions ``[N, A]``.
         robots: N copies.
         generators: One per copy, for its start.
-        horizon: Steps after which time is up.
+        horizon: Time limit of an episode, in steps.
 
     Returns:
-        ``[N, horizon]`` rewards in time order; 0 after a fall, whose own reward counts.
+        ``[N, horizon]`` rewards in time order, up to that of the step that ends in a fall; 0 after
+        it.
     """
     rewards = np.zeros((len(generators), horizon))
     frames = robots.reset(generators)
@@ -73,7 +74,7 @@ def evaluate_episodes(
         act: Maps frames ``[N, F]`` to actions ``[N, A]``.
         robots: N copies.
         generators: One per copy, for its start.
-        horizon: Steps after which time is up.
+        horizon: Time limit of an episode, in steps.
         discount: Per step, of the discounted returns.
         return_steps: Steps that these sum over.
     """

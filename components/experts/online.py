@@ -1,17 +1,17 @@
-"""DDPG that gathers its own data: per lane one environment, one memory and one learner.
+"""Online DDPG: every lane has one environment, one replay memory and one learner.
 
-Per environment step each lane acts (uniformly at random in the first steps, then by its policy
-with Gaussian noise), remembers the transition and, once it acts by its policy, makes one update on
-a batch drawn uniformly from all it remembers. An episode ends with a fall, which is terminal, or
-when its time is up, which is not.
+In every environment step each lane acts (uniformly at random in the first steps, then by its policy
+with Gaussian noise) and stores the transition. Once it acts by its policy, it also makes one update
+on a batch drawn uniformly from the replay memory. An episode ends with a fall, which is terminal,
+or at the time limit, which is not.
 
 Settings are those of the "DDPG" of Fujimoto et al., "Off-Policy Deep Reinforcement Learning without
 Exploration" (2019), whose imperfect demonstrations the thesis's robot data follow; the update is
 that of :class:`components.algorithms.ddpg.ActorCritic`, on frames as the system gives them.
 
 The transitions of a lane depend on its key alone: starts are drawn from (key, episode number),
-everything else from (key, step). The state of the physics is in no checkpoint: a resumed run
-repeats the running episode from its start with the actions in memory, to the same numbers.
+everything else from (key, step). Checkpoints do not hold the state of the simulator: a resumed run
+repeats the current episode from its start with the stored actions, which gives the same state.
 """
 
 import copy
@@ -42,7 +42,7 @@ class ExpertConfig:
     steps: int = 1_000_000  # environment steps
     random_steps: int = 25_000  # of these uniformly random, before the first update
     exploration: float = 0.1  # deviation of the noise on the policy's actions
-    horizon: int = 1000  # steps of an episode, after which time is up
+    horizon: int = 1000  # time limit of an episode, in steps
     evaluate_every: int = 5000  # steps
     episodes: int = 10  # of an evaluation
     hidden: tuple[int, ...] = (400, 300)  # layers of actor and critic
@@ -86,13 +86,13 @@ class ExpertConfig:
 
 
 class OnlineDDPG:
-    """L learners that gather their own data.
+    """L DDPG learners that collect their own transitions.
 
     Args:
         config: Settings.
         keys: One random stream per lane.
         robots: L copies of the system.
-        replay: Empty memory of L lanes.
+        replay: Empty replay memory of L lanes.
         device: Where to learn.
     """
 
@@ -123,7 +123,7 @@ class OnlineDDPG:
         )
         self._episode = np.zeros(self.lanes, dtype=np.int64)
         self._elapsed = np.zeros(self.lanes, dtype=np.int64)
-        self._frames = robots.reset(self._openings())
+        self._frames = robots.reset(self._start_generators())
 
     # -- update -----------------------------------------------------------------------------
 
@@ -131,18 +131,18 @@ class OnlineDDPG:
         """One environment step on all lanes and, after the random ones, one update."""
         random = self._streams.at(step)
         learns = step >= self._config.random_steps
-        self._interact(self._exploring(random["noise"]) if learns else random["uniform"])
+        self._interact(self._noisy_actions(random["noise"]) if learns else random["uniform"])
         if not learns:
             return {}
         index = (random["row"] * self._replay.count).long()
         return self._ddpg.learn(self._replay.batch(index))
 
     @torch.no_grad()
-    def _exploring(self, noise: Tensor) -> Tensor:
+    def _noisy_actions(self, noise: Tensor) -> Tensor:
         frames = torch.from_numpy(self._frames).float().to(self._device)
         wanted = torch.tanh(self._ddpg.actor(frames[:, None])).squeeze(1)
         noisy = (wanted + self._config.exploration * noise).clamp_(-1.0, 1.0)
-        return noisy.nan_to_num_()  # a lane whose network broke must not break the physics
+        return noisy.nan_to_num_()  # a diverged lane must not make the simulations unstable
 
     def _interact(self, actions: Tensor) -> None:
         taken = actions.float().cpu().numpy()
@@ -159,9 +159,9 @@ class OnlineDDPG:
 
     def _begin(self, lanes: Mask) -> None:
         """Put lanes at the start of their current episode."""
-        self._frames[lanes] = self._robots.reset_copies(lanes, self._openings())
+        self._frames[lanes] = self._robots.reset_copies(lanes, self._start_generators())
 
-    def _openings(self) -> list[np.random.Generator]:
+    def _start_generators(self) -> list[np.random.Generator]:
         """Per lane the generator of its current episode's start."""
         return [
             lane_generator(lane_key(key, "start"), int(number))
@@ -172,7 +172,7 @@ class OnlineDDPG:
 
     @property
     def actor(self) -> StackedMLP:
-        """The current policies' networks; their tanh acts."""
+        """The current policies' networks; the action is the tanh of their output."""
         return self._ddpg.actor
 
     @property
@@ -182,23 +182,23 @@ class OnlineDDPG:
 
     @property
     def best_return(self) -> list[float]:
-        """Its return, per lane."""
+        """Return of the best network, per lane."""
         values: list[float] = self._best_return.tolist()
         return values
 
     @property
     def best_step(self) -> list[int]:
-        """The step at which it had this return, per lane."""
+        """The step at which the best network was evaluated, per lane."""
         values: list[int] = self._best_step.tolist()
         return values
 
     @torch.no_grad()
     def keep_best(self, step: int, returns: Tensor) -> None:
-        """Remember the current policies of the lanes that have never done better.
+        """Keep the current policies of the lanes whose return is their highest so far.
 
         Args:
             step: Steps so far.
-            returns: ``[L]`` what the current policies achieve.
+            returns: ``[L]`` mean returns of the current policies.
         """
         better = returns > self._best_return
         self._best_return[better] = returns[better]
@@ -208,7 +208,7 @@ class OnlineDDPG:
             kept[chosen] = now[chosen]
 
     def state_dict(self) -> dict[str, Tensor]:
-        """All that the next update depends on, but for the transitions, which are in files."""
+        """All that the next update depends on except the transitions, which are in files."""
         return {
             **self._ddpg.state_dict(),
             **module_state({"best": self._best}),
@@ -220,7 +220,7 @@ class OnlineDDPG:
         }
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned, and repeat the running episodes.
+        """Restore what :meth:`state_dict` returned, and repeat the running episodes.
 
         Raises:
             ValueError: The files hold fewer transitions than the state counts.
@@ -237,7 +237,7 @@ class OnlineDDPG:
             if begins.any():
                 self._begin(begins)
             if back:
-                # Lanes that have not begun yet act as well; their start makes that undone.
+                # Lanes whose episode has not begun yet act, too; its start resets them.
                 past = np.full(self.lanes, self._replay.count - back)
                 actions = self._replay.actions(past).astype(np.float64)
                 self._frames = self._robots.step(actions)[0]

@@ -1,9 +1,9 @@
-"""Transitions of L lanes: rows on the device, and the same rows in one file per lane.
+"""Replay memory of L lanes: rows on the device, and the same rows in one file per lane.
 
 A row is (observation, action, reward, continues, next observation) in float32, so that drawing a
-batch is one gather. Rows reach their file as they happen and are never changed: a checkpoint of a
-million transitions only has to say how many of them count. Rows a killed run wrote after its last
-checkpoint are overwritten by the run that continues from it, with the same values.
+batch is one gather. Every row is written to its file at once and never changed, so a checkpoint
+only has to store the number of rows. Rows that a killed run wrote after its last checkpoint are
+overwritten by the run that continues from it, with the same values.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class Replay:
         observations: Width O.
         actions: Width A.
         device: Where batches are drawn.
-        files: One per lane, made if missing; none keeps everything in memory only.
+        files: One per lane, made if missing; without files transitions are in memory only.
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class Replay:
         terminated: npt.NDArray[np.bool_],
         following: Array,
     ) -> None:
-        """Remember one transition per lane.
+        """Append one transition per lane.
 
         Args:
             observations: ``[L, O]`` before the action.
             actions: ``[L, A]``.
             rewards: ``[L]``.
-            terminated: ``[L]``, the next state is terminal; the end of time is no such state.
+            terminated: ``[L]`` whether the next state is terminal; after a time-out it is not.
             following: ``[L, O]`` after the action.
         """
         continues = ~terminated[:, None]
@@ -76,12 +76,12 @@ class Replay:
         rows = np.concatenate(parts, axis=1, dtype=np.float32)
         for file, row in zip(self._files, rows, strict=False):
             file.write(row.tobytes())
-            file.flush()  # out of this process, so that a kill does not take it along
+            file.flush()  # a killed process loses what it has not handed to the operating system
         self._rows[:, self._count] = torch.from_numpy(rows)
         self._count += 1
 
     def restore(self, count: int) -> None:
-        """Take back the first transitions from the files.
+        """Restore the first transitions from the files.
 
         Args:
             count: Transitions per lane.

@@ -2,8 +2,8 @@
 
 Every few thousand steps the current policies run whole episodes without noise, and the policy with
 the highest mean return so far is kept. This choice uses the real system: an expert is part of data
-generation. The return it is kept for is too high on average, since it is the best of many; choosing
-among seeds therefore evaluates the chosen policy in new episodes.
+generation. The kept return is biased upwards, since it is the greatest of many; the choice among
+seeds therefore evaluates the chosen policy in new episodes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +28,7 @@ from components.training.loop import Curves, TrainingLoop
 __all__ = ["train_experts", "without_denormals"]
 
 MakeRobots = Callable[[int], Robots]
-"""Makes so many copies of the robot."""
+"""Makes the given number of copies of the robot."""
 
 
 def train_experts(
@@ -53,7 +53,7 @@ def train_experts(
         make_robots: Makes copies of the robot.
         work: Folder that survives a kill; holds the checkpoint and all transitions.
         device: Where to learn.
-        progress: Told the finished fraction.
+        progress: Called with the finished fraction, 0 to 1.
         save_every: Seconds between checkpoints.
 
     Returns:
@@ -100,8 +100,8 @@ def train_experts(
         takes_proximity=False,
         steps=tuple(learner.best_step),
     )
-    as_it_is = Normaliser(torch.zeros(len(keys), widths[0]), torch.ones(len(keys), widths[0]))
-    stack = Policy.of_networks(card, {"actor": learner.best.affine()}, as_it_is)
+    identity = Normaliser(torch.zeros(len(keys), widths[0]), torch.ones(len(keys), widths[0]))
+    stack = Policy.of_networks(card, {"actor": learner.best.affine()}, identity)
     policies = [
         stack.lane(lane, replace(card, steps=(step,)))
         for lane, step in enumerate(learner.best_step)
@@ -111,10 +111,11 @@ def train_experts(
 
 @contextmanager
 def without_denormals() -> Iterator[None]:
-    """Round denormal numbers to 0 meanwhile.
+    """Flush denormal numbers to 0 within the block.
 
-    Adam's moments of a unit that never fires fade by a tenth in every update. After a thousand they
-    are denormal, and arithmetic with such numbers takes ten times as long on many processors.
+    Adam's moments of a unit that is never active shrink by a tenth in every update. After a
+    thousand updates they are denormal, and arithmetic with such numbers takes ten times as long on
+    many processors.
     """
     torch.set_flush_denormal(True)
     try:
@@ -126,7 +127,7 @@ def without_denormals() -> Iterator[None]:
 def _deterministic(
     actor: StackedMLP, device: torch.device
 ) -> Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]:
-    """Actions of L networks for N copies, lane by lane the same number."""
+    """A function from frames to actions: L networks act for N / L consecutive copies each."""
 
     @torch.no_grad()
     def act(frames: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

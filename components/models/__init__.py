@@ -1,7 +1,7 @@
-"""What is learned supervised, before any policy: behaviours, dynamics, an autoencoder of actions.
+"""Supervised models, fitted before any policy: behaviour policies, dynamics, an action autoencoder.
 
-In comes a dataset; out goes a fitted model as a folder of its own. One file or folder for each
-model, and one record, by which all else knows it; virtual trajectories are made in transition/.
+In: a dataset. Out: a fitted model, stored as a folder. Each model has a file or folder here and a
+record in ``MODELS``, by which plans and tasks use it; `transition/` makes virtual trajectories.
 """
 
 from collections.abc import Callable, Mapping
@@ -45,7 +45,7 @@ class ModelKind(Generic[C]):
         fit: ``fit(dataset, config, key, device, checkpoint, monitor)``: trains on all but the last
             trajectories, resumably.
         load: Reads the folder that the fitted model's ``save`` filled.
-        cost: Core-seconds of a fit with given settings, measured roughly on a machine of 2026.
+        cost: Core-seconds of a fit with given settings, measured roughly on a computer of 2026.
     """
 
     config: type[C]

@@ -1,12 +1,12 @@
 """The generative model of the logged actions: a conditional variational autoencoder (thesis 5.1).
 
-It learns to rebuild an action from a few latent numbers and the state it was taken in. What it
-rebuilds badly was not logged like that: an unusual action, or an unusual state. MOOSE charges its
-policy for the error. Loss and clamps are BCQ's, see :mod:`components.networks.variational`; sizes
-and schedule are the thesis's (5.1.2: 750-750 both ways, Adam 1e-4, batches of 500, 50 epochs).
+It learns to reconstruct an action from a few latent numbers and the state it was taken in. The
+reconstruction error is large for actions and states unlike the logged ones; MOOSE penalises its
+policy by it. Loss and clamps are BCQ's, see :mod:`components.networks.variational`; sizes and
+schedule are the thesis's (5.1.2: 750-750 both ways, Adam 1e-4, batches of 500, 50 epochs).
 
 The last trajectories are held out, and the state of lowest held-out loss is kept. The latents of
-every held-out row are drawn once, from the model's own stream, so that two validations differ by
+every held-out row are drawn once, from the model's own stream, so that two validations differ in
 the network alone.
 """
 
@@ -116,7 +116,7 @@ class ActionVAE:
 
 
 class ActionReconstruction:
-    """Autoencoders of L lanes on the observations of policies.
+    """Autoencoders of L lanes, applied to the observations of policies.
 
     Args:
         models: One per lane, of equal shapes.
@@ -135,7 +135,7 @@ class ActionReconstruction:
         )
         states = [model.network.state_dict() for model in models]
         self._network.load_state_dict({n: torch.cat([s[n] for s in states]) for n in states[0]})
-        # Gradients reach observations and actions, and pass the weights by.
+        # Gradients flow into observations and actions, not into the weights.
         self._network.requires_grad_(False).to(device)
         own, given = Normaliser.stack([m.frames for m in models]).to(device), scaling.to(device)
         for part in (self._network.encoder, self._network.decoder):
@@ -145,7 +145,7 @@ class ActionReconstruction:
                 old.copy_(new)
 
     def __call__(self, observations: Tensor, actions: Tensor, noise: Tensor) -> Tensor:
-        """Rebuild actions; differentiable in observations and actions.
+        """Reconstruct actions; differentiable in observations and actions.
 
         Args:
             observations: ``[L, N, O]`` frames, newest first, in the policies' scaling.
@@ -174,13 +174,13 @@ def fit_action_vae(
         key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        monitor: Told the progress and the held-out losses.
+        monitor: Receives the progress and the held-out losses.
 
     Returns:
         The autoencoder; its held-out loss, reconstruction error and divergence.
 
     Raises:
-        ValueError: If it shall read more frames than an observation has.
+        ValueError: If ``config.history`` is more than the frames of an observation.
     """
     split = split_episodes(dataset, config.holdout)
     trained_on = split.trained_transitions(dataset)
@@ -208,7 +208,7 @@ def fit_action_vae(
         }
 
     @torch.no_grad()
-    def judge(net: ConditionalVAE) -> Tensor:
+    def validate(net: ConditionalVAE) -> Tensor:
         """Held-out loss, reconstruction error and divergence ``[3, 1]``, over all rows."""
         total = torch.zeros(3, 1, device=device)
         parts = (tensor.split(VALIDATED_AT_ONCE, dim=1) for tensor in (held_out, fixed))
@@ -235,14 +235,14 @@ def fit_action_vae(
     )
     per_epoch = max(1, trained_on // config.batch)
     curves = fit.run(
-        lambda net: judge(net)[0],
+        lambda net: validate(net)[0],
         [dataset.card.name],
         updates=config.epochs * per_epoch,
         validate_every=per_epoch,
         checkpoint=checkpoint,
         monitor=monitor,
     )
-    loss, error, divergence = judge(fit.best).flatten().tolist()
+    loss, error, divergence = validate(fit.best).flatten().tolist()
     model = ActionVAE(fit.best.cpu().requires_grad_(False), scaling, data.history, config.hidden)
     metrics = {"validation_reconstruction_error": error, "validation_divergence": divergence}
     return Fit(model, loss, metrics, curves.of_lane(0))

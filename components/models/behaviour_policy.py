@@ -1,8 +1,8 @@
-"""The learned behaviour policy: a deterministic clone of whatever generated the log (thesis 6.1).
+"""The learned behaviour policy: a deterministic network that imitates the log (thesis 6.1).
 
-``beta(s) = tanh(MLP(s))`` minimises the mean squared error to the logged actions. It tells the
-other learners what the operators of the machine would have done, and how far a new policy moves
-away. The last trajectories are held out; the state with the lowest held-out loss is kept.
+``beta(s) = tanh(MLP(s))`` minimises the mean squared error to the logged actions. Other learners
+measure by it how far a new policy moves away from the logged behaviour. The last trajectories are
+held out; the state with the lowest held-out loss is kept.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ __all__ = ["BehaviourPolicyConfig", "fit_behaviour_policies", "fit_behaviour_pol
 
 @dataclass(frozen=True, kw_only=True)
 class BehaviourPolicyConfig:
-    """How the clone is built and trained (thesis 6.6: one layer of 20, 50 epochs, Adam 3e-4)."""
+    """How the policy is built and trained (thesis 6.6: one layer of 20, 50 epochs, Adam 3e-4)."""
 
     hidden: tuple[int, ...] = (20,)  # hidden layer widths
     epochs: int = 50  # passes over the training transitions
@@ -60,7 +60,7 @@ def fit_behaviour_policies(
     checkpoint: Path | None = None,
     monitor: Monitor = UNWATCHED,
 ) -> tuple[list[Policy], list[dict[str, float]], Curves]:
-    """Clone the behaviour behind each dataset, one lane per dataset.
+    """Fit a behaviour policy to each dataset, one lane per dataset.
 
     Args:
         datasets: Logs of equal shapes.
@@ -68,7 +68,7 @@ def fit_behaviour_policies(
         keys: One random stream per lane.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        monitor: Told the progress and the held-out losses.
+        monitor: Receives the progress and the held-out losses.
 
     Returns:
         Per lane a policy and its held-out mean squared error; the learning curves.
@@ -143,7 +143,7 @@ def fit_behaviour_policy(
     checkpoint: Path | None = None,
     monitor: Monitor = UNWATCHED,
 ) -> Fit[Policy]:
-    """Clone the behaviour behind one dataset, see :func:`fit_behaviour_policies`."""
+    """Fit a behaviour policy to one dataset, see :func:`fit_behaviour_policies`."""
     [policy], [metrics], curves = fit_behaviour_policies(
         [dataset], config, [key], device, checkpoint, monitor
     )

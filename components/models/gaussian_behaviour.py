@@ -1,17 +1,17 @@
-"""The behaviour policy as a distribution: a tanh-Gaussian clone of whatever generated the log.
+"""The behaviour policy as a distribution: a tanh-Gaussian fitted to the logged actions.
 
 ``a = tanh(u)``, ``u ~ N(mean(s), std(s)^2)`` maximises the likelihood of the logged actions. Its
-mean is a deterministic policy; its spread before the tanh says how exploratory the log is (EAS,
+mean is a deterministic policy; its spread before the tanh measures how exploratory the log is (EAS,
 thesis chapter 4).
 
-Where actions are clipped before the inverse tanh decides what the spread means: of actions at the
-bounds, which exploring operators take all the time, the clip alone makes a large finite number. The
-thesis does not say where it clips; the order of its EAS needs a strong clip, and 0.9 is taken.
+Actions are clipped before the inverse tanh, and the clip decides what the spread means: exploration
+often acts at the bounds, and there the clip alone makes the inverse finite. The thesis does not say
+where it clips; the order of its EAS needs a strong clip, and 0.9 is taken.
 
-BRAC's clone (which has one of its own, see :mod:`components.algorithms.brac`) is paid for entropy,
-lest it collapse on the actions of a deterministic operator. Here nothing is paid, as that would
-raise the very spread that is measured: the bounds of the log deviation, reached smoothly, and the
-choice of the state of highest held-out likelihood keep it finite.
+BRAC fits a behaviour of its own, see :mod:`components.algorithms.brac`, with an entropy bonus that
+keeps it from collapsing on the actions of a deterministic controller. Here there is no bonus, as it
+would raise the spread that is measured. The smooth bounds of the log deviation and the choice of
+the state of highest held-out likelihood keep the spread finite.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ VALIDATION_CHUNK = 4096  # transitions at once, which limits the memory
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianBehaviourConfig:
-    """How the clone is built and trained."""
+    """How the policy is built and trained."""
 
     hidden: tuple[int, ...] = (64, 64)  # hidden layer widths
     action_clip: float = 0.9  # logged actions are clipped to +- this before the inverse tanh
@@ -69,7 +69,7 @@ class GaussianBehaviourConfig:
 
 @dataclass(frozen=True)
 class GaussianBehaviour:
-    """P fitted clones side by side.
+    """P fitted Gaussian behaviour policies side by side.
 
     Attributes:
         mean: ``tanh`` of the mean, as deployable policies.
@@ -81,7 +81,7 @@ class GaussianBehaviour:
     spread: tuple[Tensor, Tensor]
 
     def network(self) -> TanhGaussian:
-        """The whole clones, on observations scaled by ``mean.frames``."""
+        """Networks of mean and spread, on observations scaled by ``mean.frames``."""
         *hidden, last = self.mean.layers
         whole = tuple(torch.cat(parts, dim=-1) for parts in zip(last, self.spread, strict=True))
         sizes = [len(hidden[0][0][0]), *(len(b[0, 0]) for _, b in hidden), len(last[1][0, 0])]
@@ -136,7 +136,7 @@ def fit_gaussian_behaviour(
     checkpoint: Path | None = None,
     monitor: Monitor = UNWATCHED,
 ) -> Fit[GaussianBehaviour]:
-    """Clone the behaviour behind a dataset.
+    """Fit a Gaussian behaviour policy to a dataset.
 
     Args:
         dataset: The log.
@@ -144,11 +144,12 @@ def fit_gaussian_behaviour(
         key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        monitor: Told the progress and the held-out losses.
+        monitor: Receives the progress and the held-out losses.
 
     Returns:
-        The clone in its best held-out state; the mean negative log density of the held-out actions,
-        clipped as in training; among the metrics the mean standard deviation in their states.
+        The policy in its best held-out state; the mean negative log density of the held-out
+        actions, clipped as in training; among the metrics the mean standard deviation in their
+        states.
     """
     data = LaneData([dataset], device)
     trained = split_episodes(dataset, config.holdout).trained_transitions(dataset)
@@ -212,5 +213,5 @@ def fit_gaussian_behaviour(
         "validation_nll": float(fitting.best_loss),
         "validation_spread": float(torch.cat(parts, dim=1).mean()),
     }
-    clone = GaussianBehaviour(policy, (weight, bias))
-    return Fit(clone, metrics["validation_nll"], metrics, curves.of_lane(0))
+    behaviour = GaussianBehaviour(policy, (weight, bias))
+    return Fit(behaviour, metrics["validation_nll"], metrics, curves.of_lane(0))

@@ -1,4 +1,4 @@
-"""Let a fitted network read frames in a scaling other than the one it was trained with."""
+"""Adapt a fitted network to frames in another scaling than that of its training."""
 
 import torch
 from torch import Tensor
@@ -13,14 +13,14 @@ def read_in_scaling(
 ) -> tuple[Tensor, Tensor]:
     """Fold a change of scaling into a first layer.
 
-    An affine map of scaled frames is an affine map of the same frames scaled otherwise, so that a
-    model costs nothing more on the observations of a policy than on its own.
+    An affine map of scaled frames is an affine map of the same frames scaled otherwise, so a model
+    reads the observations of a policy at no additional cost.
 
     Args:
         weight: ``[L * M, in, H]`` of M networks a lane; the first inputs are ``history`` frames.
         bias: ``[L * M, 1, H]``.
         own: Scaling of the frames the layer was trained on, ``[L, F]``.
-        given: Scaling of the frames it shall read, ``[L, F]``.
+        given: Scaling of the frames it is to read, ``[L, F]``.
         history: Frames read.
 
     Returns:

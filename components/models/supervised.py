@@ -1,8 +1,8 @@
-"""How supervised models are fitted: minibatches, a schedule, held-out losses, the best state kept.
+"""Fits of supervised models: minibatches, a schedule, held-out losses, the best state kept.
 
-A model brings a stack of networks, a loss and a validation; :class:`StackedFit` steps all lanes at
-once (datasets, ensemble members), keeps for every lane the weights of its lowest held-out loss and
-stops when no lane has improved for a while. Interrupted fits continue to the same numbers.
+A model provides a stack of networks, a loss and a validation. :class:`StackedFit` steps all lanes
+at once (datasets, ensemble members), keeps for every lane the weights of its lowest held-out loss
+and stops when no lane has improved for a while. Interrupted fits continue to the same numbers.
 """
 
 import copy
@@ -64,12 +64,12 @@ class Fit(Generic[M_co]):
 
 @dataclass(frozen=True)
 class Monitor:
-    """Whoever watches a fit.
+    """Callbacks during a fit.
 
     Attributes:
-        progress: Told the finished fraction of the budget.
-        validated: Told the finished fraction and the held-out loss after every validation; what it
-            raises ends the fit, e.g. when a search gives a trial up.
+        progress: Called with the finished fraction of the budget, 0 to 1.
+        validated: Called with the finished fraction and the held-out loss after every validation;
+            an exception that it raises ends the fit, e.g. when a search prunes a trial.
     """
 
     progress: Callable[[float], None] = lambda fraction: None
@@ -82,7 +82,7 @@ N = TypeVar("N", bound=nn.Module)
 
 
 class StackedFit(Generic[N]):
-    """A stack of networks on its way to the lowest held-out loss, lane by lane.
+    """Trains a stack of networks and keeps the weights of lowest held-out loss, lane by lane.
 
     Args:
         network: Lanes first in every parameter; a parameter may hold several rows a lane.
@@ -133,14 +133,14 @@ class StackedFit(Generic[N]):
 
         Args:
             validate: Held-out loss ``[L]`` of a network.
-            names: Of the lanes, stable across restarts.
+            names: Names of the lanes, stable across restarts.
             updates: Budget.
             validate_every: Updates between validations; the last update is validated too.
-            patience: Stop after so many validations in a row that improved no lane.
+            patience: Validations in a row without improvement of any lane before training stops.
             improvement: Smallest relative improvement that counts.
             overall: One loss for the monitor from those of the lanes' best states ``[L]``.
             checkpoint: File to resume from and save to.
-            monitor: Told the progress and the overall held-out loss.
+            monitor: Receives the progress and the overall held-out loss.
 
         Returns:
             The learning curves.
@@ -163,11 +163,11 @@ class StackedFit(Generic[N]):
         return loop.run(graphed(self, self.best_loss.device), after)
 
     def branch(self, step: int) -> str:
-        """All updates are alike."""
+        """All updates belong to one branch."""
         return "all"
 
     def stage(self, step: int) -> None:
-        """Put a step's draws and learning rate in their place, for CUDA graphs to read."""
+        """Copy a step's draws and learning rate to where CUDA graphs read them."""
         self._streams.stage(step)
         self._schedule.follow(step)
 
@@ -186,7 +186,7 @@ class StackedFit(Generic[N]):
 
     @torch.no_grad()
     def _keep_best(self, losses: Tensor, improvement: float) -> None:
-        # The first finite loss counts as an improvement over infinity, whatever is asked.
+        # The first finite loss is below infinity times any factor, so it always counts.
         better = losses < self.best_loss * (1.0 - improvement)
         self.best_loss = torch.where(better, losses, self.best_loss)
         self.stale = torch.where(better, torch.zeros_like(self.stale), self.stale + 1)
@@ -201,7 +201,7 @@ class StackedFit(Generic[N]):
         return state | prefixed("optimizer", optimizer_state(self._optimizer))
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
         self.network.load_state_dict(with_prefix("network", state))
         self.best.load_state_dict(with_prefix("best", state))
         self.best_loss.copy_(state["best_loss"])

@@ -16,7 +16,7 @@ class Critics(nn.Module):
 
     Args:
         keys: One random stream per lane.
-        observations: Width O, lambda included where the critic is given it.
+        observations: Width O, including the proximity where the critic takes it.
         actions: Width A.
         hidden: Layer widths.
         count: K.
@@ -60,8 +60,8 @@ class Critics(nn.Module):
             x = torch.baddbmm(inner_bias[:: self.count], x, inner_weight[:: self.count]).relu_()
         return torch.baddbmm(bias[:: self.count], x, weight[:: self.count]).squeeze(-1)
 
-    def favourite(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """The action ``[L, B, A]`` of greatest first value among N, ``[L, B, N, A]``."""
+    def best_action(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The action ``[L, B, A]`` of greatest first-critic value among N, ``[L, B, N, A]``."""
         values = self.over_actions(observations, actions)[:, 0].nan_to_num(nan=-torch.inf)
         best = values.argmax(dim=-1)[..., None, None]
         return actions.gather(2, best.expand(-1, -1, 1, actions.shape[-1])).squeeze(2)

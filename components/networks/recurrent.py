@@ -12,9 +12,9 @@ and tanh is computed as ``2 sigmoid(2x) - 1``, whose kernel is the faster one on
 AMD EPYC; not on an AVX-512 Xeon) and whose numbers are kept the same everywhere (largest absolute
 difference to ``torch.tanh``: below two units in the last place of 1).
 
-A cell may also read what it has read out: its last D' inputs are then a loop, values ``o`` that it
-carries on itself, ``o' = reads * (y + adds * o)``, where y are its first D' readings. With ``adds``
-they are sums of all readings so far, which no recurrent matrix can express.
+A cell may also take its own readings as inputs: its last D' inputs are then values ``o`` that it
+carries from step to step, ``o' = reads * (y + adds * o)``, where y are its first D' readings. With
+``adds`` they are sums of all readings so far, which no recurrent matrix can express.
 """
 
 from typing import Any
@@ -71,7 +71,7 @@ class _Unroll(torch.autograd.Function):
             buffer[0, :, width + features : -1] = own
         readings = inputs.new_empty(steps, cells, outputs, batch)
         doubled = 2.0 * weight
-        activation = hidden.clone()  # which it stays without any step
+        activation = hidden.clone()  # the result if there are no steps
         for t in range(steps):
             torch.bmm(doubled, buffer[t], out=activation)
             activation.sigmoid_().mul_(2.0).sub_(1.0)
@@ -98,7 +98,7 @@ class _Unroll(torch.autograd.Function):
         emit = readout[:, :, :-1].transpose(1, 2)
         grad_own: Tensor | None = None
         if reads is not None:
-            grad_readings = grad_readings.clone()  # the loop's own gradients come on top
+            grad_readings = grad_readings.clone()  # gradients through the loop are added in place
             loop = weight[:, :, width + ctx.features : -1].transpose(1, 2)
             grad_own = torch.zeros_like(buffer[0, :, width + ctx.features : -1])
         for t in range(steps - 1, -1, -1):
@@ -146,7 +146,7 @@ def unroll_loops(
     reads: Tensor,
     adds: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Run M cells that read their own first D' readings back.
+    """Run M cells whose first D' readings are inputs of the next step.
 
     Args:
         weight: ``[M, H, H + D + D' + 1]``, columns for the hidden state, the inputs, the loop and
@@ -154,14 +154,14 @@ def unroll_loops(
         readout: ``[M, O, H + 1]``, O at least D'.
         hidden: ``[M, H, B]`` hidden state before the first step.
         inputs: ``[T, M, D, B]``; treated as data.
-        own: ``[M, D', B]`` what the loop carries into the first step.
+        own: ``[M, D', B]`` values carried into the first step.
         reads: ``[M, D', 1]`` 0 where a value is not carried on.
         adds: ``[M, D', 1]`` 1 where a reading is added to the value carried, 0 where it takes its
             place.
 
     Returns:
-        Values ``[T, M * O, B]``, the carried one added to a reading where so wanted, and the last
-        hidden state ``[M, H, B]``.
+        Values ``[T, M * O, B]``, the readings with the carried value added where ``adds`` is 1, and
+        the last hidden state ``[M, H, B]``.
     """
     values, last = _Unroll.apply(  # type: ignore[no-untyped-call]
         weight, readout, hidden, inputs, own, reads, adds

@@ -1,4 +1,4 @@
-"""Stacks of independent networks: the one building block of every learner.
+"""Stacks of independent networks, the building block of every learner.
 
 A stack holds L copies of a network in tensors whose first axis is the *lane* axis: weights
 ``[L, in, out]``, activations ``[L, B, features]``, one ``torch.baddbmm`` per layer. Losses that are
@@ -86,7 +86,7 @@ class StackedMLP(nn.Module):
         return self._from_layer(0, x)
 
     def over_actions(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Evaluate N actions at each observation; the observation's share is computed once.
+        """Evaluate N actions at each observation; its part of the first layer is computed once.
 
         Equals the forward pass on every pair: the first layer is linear in its input, so its
         product with an observation serves all actions tried there.
@@ -136,13 +136,13 @@ def lanewise_mean(x: Tensor) -> Tensor:
 def lane_groups(module: Module, lanes: int, groups: int) -> list[tuple[slice, Module]]:
     """The same stack in parts: consecutive lanes, their parameters sharing the stack's memory.
 
-    On a processor, a loss whose activations of all lanes together overflow the cache is computed
-    faster part by part. What the parts' parameters become, the stack's are.
+    On a CPU, a loss whose activations of all lanes together overflow the cache is computed faster
+    part by part. An update of the parts' parameters is an update of the stack's.
 
     Args:
         module: A stack; every parameter's first axis is a multiple of ``lanes``.
         lanes: L.
-        groups: At most so many parts of equal size, give or take one lane.
+        groups: Largest number of parts; all of them but the last are of equal size.
 
     Returns:
         Lanes and stack of every part.

@@ -1,4 +1,4 @@
-"""Weight normalisation on stacked lanes: directions and lengths of the weights learned apart.
+"""Weight normalisation on stacked lanes: directions and lengths of weights learned separately.
 
 The weights of a unit are ``w = g v / |v|`` (Salimans and Kingma 2016; thesis 3.37). At the start
 ``g = |v|``, so that the function is that of the plain stack drawn from the same generators.

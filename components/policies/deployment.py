@@ -76,7 +76,7 @@ def _perturbed(networks: Networks, x: Tensor, noise: Tensor, perturbation: float
 
 
 def _one_by_one(act: Callable[[Networks, Tensor, Tensor, float], Tensor]) -> Act:
-    """Policies in turn: the candidates of all of them at once would fill the memory."""
+    """Run one policy after the other: candidates of all at once would need too much memory."""
 
     def each(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:
         if noise is None:
@@ -108,6 +108,7 @@ KINDS: Final[Mapping[str, Act]] = MappingProxyType(
 - ``tanh``: the tanh of the actor's output.
 - ``clipped``: the actor's output clipped to [-1, 1].
 - ``clipped_tanh_layers``: the same with tanh between the actor's layers (MOReL).
-- ``gaussian_candidates``: of N actions of a squashed Gaussian actor the critic's best (BEAR).
-- ``perturbed_candidates``: of N decoded actions, each shifted by the actor, its best (BCQ).
+- ``gaussian_candidates``: the action of greatest critic value among N actions of a squashed
+  Gaussian actor (BEAR).
+- ``perturbed_candidates``: the same among N decoded actions, each shifted by the actor (BCQ).
 """

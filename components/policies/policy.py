@@ -1,4 +1,4 @@
-"""Deployable policies: stacks of networks with all they need to act on raw frames.
+"""Deployable policies: stacks of networks with everything needed to act on raw frames.
 
 An artifact is a folder of two files: ``policy.json`` (what the policy is: how it acts, history
 rule, features, whether it takes the proximity parameter, snapshot steps, format) and
@@ -49,10 +49,10 @@ class PolicyCard:
         steps: Training step of every stored snapshot, one per lane.
         kind: How it acts, a name in :data:`~components.policies.deployment.KINDS`.
         candidates: N, actions drawn per state; 0 if the policy is deterministic.
-        noise: Width of the normal noise behind a candidate.
+        noise: Width of the normal noise from which a candidate is made.
         perturbation: Largest change BCQ's actor may make to a generated action.
         ended_at: Update by which a loss had become infinite or undefined and learning ended; the
-            snapshots after it repeat the last finite one. None: it went through.
+            snapshots after it repeat the last finite one. None: training used the whole budget.
     """
 
     algorithm: str
@@ -69,10 +69,10 @@ class PolicyCard:
     ended_at: int | None = None
 
     def __post_init__(self) -> None:
-        """Reject a way of acting that nobody knows.
+        """Reject an unknown kind of policy.
 
         Raises:
-            ValueError: Naming the known ones.
+            ValueError: Naming the known kinds.
         """
         if self.kind not in KINDS:
             raise ValueError(f"it acts by {self.kind!r}, known are {', '.join(KINDS)}")
@@ -113,8 +113,8 @@ class Policy:
     """P policies side by side.
 
     Attributes:
-        card: What they are.
-        networks: By role; ``actor`` is always there.
+        card: Their common card.
+        networks: Layers by role; there always is an ``actor``.
         frames: Scaling of a frame's features, ``[P, F]``.
         proximity_scaling: Scaling of the proximity ``[P, 1]`` before it enters the actor; unused by
             policies that take none.
@@ -162,12 +162,12 @@ class Policy:
 
     @property
     def layers(self) -> Layers:
-        """The actor's."""
+        """The actor's layers."""
         return self.networks["actor"]
 
     @property
     def finite(self) -> Tensor:
-        """Whether all numbers of a policy are, ``[P]``."""
+        """Whether all numbers of a policy are finite, ``[P]``."""
         flat = [t.flatten(1).isfinite().all(dim=1) for t in self._tensors().values()]
         return torch.stack(flat).all(dim=0)
 
@@ -199,7 +199,7 @@ class Policy:
             ``[P, B, A]`` in [-1, 1].
 
         Raises:
-            ValueError: If proximity or noise is missing or not wanted.
+            ValueError: If proximity or noise is missing, or given to policies that take none.
         """
         for given, wanted, what in (
             (proximity, self.card.takes_proximity, "proximity"),
@@ -242,7 +242,7 @@ class Policy:
             ) from error
 
     def _tensors(self) -> dict[str, Tensor]:
-        """Everything by name, lane axis first."""
+        """All tensors by stored name, lane axis first."""
         tensors = {
             "frames.mean": self.frames.mean,
             "frames.scale": self.frames.scale,

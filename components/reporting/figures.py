@@ -81,7 +81,7 @@ def _limits(
 ) -> tuple[float, float]:
     """Returns shown: the curves, the behaviour, and fixed policies not far below them.
 
-    A diverged learner would squeeze everything else into a line; its mean stands in the legend.
+    The range of a diverged learner would hide all differences; its mean is given in the legend.
     """
     bands = [(p["mean"], p["seed_std"]) for s in curves for p in s["points"]]
     shown = [mean + side * band for mean, band in bands for side in (-1, 1)]

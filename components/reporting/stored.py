@@ -1,4 +1,4 @@
-"""Read back what a sweep has left on disk: table, summaries, behaviour returns. Files only.
+"""Read the stored report of a sweep: table, summaries and behaviour returns.
 
 A report is a folder ``STORE/reports/SWEEP``. Its ``report.json`` names the nodes behind it by their
 keys: the summaries are artifacts of aggregation nodes, ``STORE/nodes/KEY/summary.json``, and the
@@ -70,7 +70,7 @@ class StoredReport:
     """A sweep's report.
 
     Attributes:
-        folder: Where it lies; its name is the sweep's.
+        folder: Its folder, which has the name of the sweep.
         table: As :func:`~components.reporting.tables.result_table` made it.
         summaries: The summaries behind the rows, in their order; fewer if artifacts are missing.
         behaviour_returns: Dataset -> mean discounted 100-step return of the logging controller.
@@ -105,7 +105,7 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     """Read one sweep's report.
 
     Args:
-        store: Folder that everything of a run is left in.
+        store: Folder of all outputs of runs.
         sweep: Its name; the newest one if None.
 
     Raises:
@@ -122,12 +122,12 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
             f"{store} holds no report of {sweep!r}; there are {', '.join(sorted(names))}."
         )
     table = tables[-1] if sweep is None else tables[names.index(sweep)]
-    behind = ReportNodes.load(table.parent)
+    report_nodes = ReportNodes.load(table.parent)
     nodes = store / "nodes"
-    summaries = [read_json(nodes / key / "summary.json") for key in behind.aggregations]
+    summaries = [read_json(nodes / key / "summary.json") for key in report_nodes.aggregations]
     cards = {
         name: read_json(nodes / key / "dataset" / "card.json")
-        for name, key in behind.datasets.items()
+        for name, key in report_nodes.datasets.items()
     }
     returns = {
         name: float(card["first_window_return_mean"]) for name, card in cards.items() if card

@@ -2,7 +2,7 @@
 
 A statistic that is not a number (a policy diverged) reads ``nan`` in the CSV file. An empty cell
 means that there is no such number: the policy takes no proximity, or the thesis has no result. No
-column may have both, so that NaN in a table says which it is.
+column has both, so NaN has one meaning in each column.
 """
 
 import math

@@ -1,13 +1,13 @@
-"""Updates as CUDA graphs: one call replays what the host would launch as thousands of kernels.
+"""CUDA graphs of updates: one call replays the thousands of kernels of an update.
 
-A small network's update is over on a GPU before the host has launched the next one's first kernel.
-A graph holds all kernels of an update, and replaying it costs microseconds. What may change from
-one replay to the next is what lies in memory: parameters, optimiser states and drawn numbers, which
-are copied to where the graph reads them. Everything else, such as which networks are trained in
-this step at all, is frozen; steps that differ in it belong to different branches, and every branch
-has its own graph. The same kernels run in the same order, so nothing of the result changes.
+With small networks a GPU runs kernels faster than the host launches them. A graph holds all kernels
+of an update, and replaying it costs the host microseconds. Only the contents of memory may change
+from one replay to the next: parameters, optimiser states, and drawn numbers, which are copied to
+where the graph reads them. Everything else, such as which networks a step trains, is fixed when the
+graph is captured. Steps that differ in it belong to different branches, and every branch has its
+own graph. The same kernels run in the same order, so results do not change.
 
-An update that cannot be captured, because it waits for the host, goes on as an ordinary one.
+An update that cannot be captured, because it waits for the host, runs as an ordinary update.
 """
 
 import warnings
@@ -26,13 +26,13 @@ WARM_UP = 3  # ordinary updates of a branch first: optimisers and libraries allo
 
 
 class BranchingLearner(Learner, Protocol):
-    """A learner that says which of its updates are alike."""
+    """A learner that names the branch of each of its updates."""
 
     def branch(self, step: int) -> Hashable | None:
-        """Equal for steps whose updates do the same but for what is staged; None: unlike others."""
+        """Branch of a step; steps of a branch differ in what is staged alone. None: no graph."""
 
     def stage(self, step: int) -> None:
-        """Put what sets this step apart (draws, learning rate) where the graph reads it."""
+        """Copy the step's draws and learning rate to where the graph reads them."""
 
 
 class GraphedLearner:
@@ -45,8 +45,8 @@ class GraphedLearner:
 
     def __init__(self, learner: BranchingLearner, device: torch.device) -> None:
         self._learner = learner
-        # Capturing needs a stream of its own, and autograd remembers where parameters were first
-        # used: so ordinary updates run there, too.
+        # Capturing needs a stream of its own. Autograd keeps to the stream on which parameters were
+        # first used, so ordinary updates run on it, too.
         self._stream = torch.cuda.Stream(device)
         self._seen: Counter[Hashable] = Counter()
         self._graphs: dict[Hashable, tuple[torch.cuda.CUDAGraph, dict[str, Tensor]]] = {}
@@ -59,7 +59,7 @@ class GraphedLearner:
 
     @property
     def captured(self) -> int:
-        """Branches that are replayed by now."""
+        """Number of branches whose graph has been captured."""
         return len(self._graphs)
 
     def update(self, step: int) -> dict[str, Tensor]:
@@ -68,12 +68,14 @@ class GraphedLearner:
         self._stream.wait_stream(outside)
         with torch.cuda.stream(self._stream):
             branch = self._learner.branch(step)
-            same = branch not in self._ordinary
-            metrics = self._same(branch, step) if same else self._learner.update(step)
+            if branch in self._ordinary:
+                metrics = self._learner.update(step)
+            else:
+                metrics = self._capture_or_replay(branch, step)
         outside.wait_stream(self._stream)
         return metrics
 
-    def _same(self, branch: Hashable, step: int) -> dict[str, Tensor]:
+    def _capture_or_replay(self, branch: Hashable, step: int) -> dict[str, Tensor]:
         self._learner.stage(step)
         if branch not in self._graphs:
             self._seen[branch] += 1
@@ -82,7 +84,7 @@ class GraphedLearner:
             graph = torch.cuda.CUDAGraph()
             try:
                 with torch.cuda.graph(graph, stream=self._stream):
-                    metrics = self._learner.update(step)  # noted, not done
+                    metrics = self._learner.update(step)  # records the kernels, does not run them
             except RuntimeError as error:
                 self._ordinary.add(branch)
                 name = type(self._learner).__module__
@@ -94,11 +96,11 @@ class GraphedLearner:
         return metrics
 
     def state_dict(self) -> dict[str, Tensor]:
-        """The learner's."""
+        """The learner's state."""
         return self._learner.state_dict()
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned; before the first update, not after it."""
+        """Restore what :meth:`state_dict` returned; before the first update, not after it."""
         self._learner.load_state_dict(state)
 
 

@@ -1,8 +1,8 @@
 """The common training loop: budget, metrics, checkpoints, progress.
 
-A learner knows one update and its own state; everything around it is done here once, for the
-supervised models and for the algorithms alike. The loop is a pure function of the learner and the
-step numbers: where it is interrupted and when it saves have no influence on the result.
+A learner defines one update and its own state; this module does the rest, for supervised models and
+algorithms alike. The result depends on the learner and the step numbers alone, not on where
+the loop is interrupted or when it saves.
 """
 
 import math
@@ -35,7 +35,7 @@ class Learner(Protocol):
         """All that the next update depends on, lane axis first in every tensor."""
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Curves:
             self.points.setdefault(name, []).append((step, value.detach().cpu()))
 
     def of_lane(self, lane: int) -> dict[str, tuple[list[int], list[float]]]:
-        """Steps and values of one lane, as long as they are finite."""
+        """Steps and values of one lane, up to the first step at which one is not finite."""
         last = self.ended_at(lane)
         return {
             name: tuple(map(list, zip(*kept, strict=True)))  # type: ignore[misc]
@@ -88,7 +88,7 @@ class TrainingLoop:
         checkpoint: File to continue from and to save to; ``None`` trains in memory only.
         log_every: Updates between two points of the learning curves (means over the interval).
         save_every: Seconds between checkpoints.
-        progress: Told the finished fraction of the budget.
+        progress: Called with the finished fraction of the budget, 0 to 1.
     """
 
     steps: int
@@ -132,7 +132,7 @@ class TrainingLoop:
                 sums = {}
                 self.progress(done / self.steps)
             stopped = after_update(done, curves)
-            # Only at interval ends are all metric sums in the curves and the file complete.
+            # Only at the ends of intervals: a checkpoint does not hold unfinished metric sums.
             due = time.monotonic() - saved >= self.save_every and done % self.log_every == 0
             if due or stopped or done == self.steps:
                 self._save(learner, curves, done, stopped)
@@ -185,19 +185,19 @@ def adam(
         lr=torch.tensor(learning_rate, device=device) if device.type == "cuda" else learning_rate,
         weight_decay=weight_decay,
         fused=True,
-        capturable=device.type == "cuda",  # in graphs, which read the learning rate from memory
+        capturable=device.type == "cuda",  # by graphs, which read the learning rate from memory
     )
 
 
 class Schedule:
     """A learning rate that depends on the step.
 
-    It is written to where the optimiser, or a CUDA graph of its steps, reads it, and once per step:
-    a captured update finds it written and leaves it alone.
+    It is written once per step, to where the optimiser or a CUDA graph of its steps reads it. If
+    :meth:`follow` is called again for the step, as in a captured update, it does nothing.
 
     Args:
-        optimizer: Whose rate it is.
-        rate: Learning rate of every step.
+        optimizer: The optimiser whose rate is set.
+        rate: Learning rate of a step, by step number.
     """
 
     def __init__(self, optimizer: torch.optim.Optimizer, rate: Callable[[int], float]) -> None:

@@ -1,4 +1,4 @@
-"""The state of learners as flat mappings of tensors: what a checkpoint stores and puts back."""
+"""The state of learners as flat mappings of tensors, which checkpoints store and restore."""
 
 from collections.abc import Iterable, Mapping
 
@@ -50,7 +50,7 @@ def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def load_optimizer_state(optimizer: torch.optim.Optimizer, flat: Mapping[str, Tensor]) -> None:
-    """Put back what :func:`optimizer_state` returned."""
+    """Restore what :func:`optimizer_state` returned."""
     for number, parameter in enumerate(_parameters(optimizer)):
         entries = with_prefix(str(number), flat)
         if not entries:
@@ -58,5 +58,5 @@ def load_optimizer_state(optimizer: torch.optim.Optimizer, flat: Mapping[str, Te
         state = optimizer.state[parameter]
         for name, tensor in entries.items():
             value = tensor[0] if name == "step" else tensor
-            # A fused optimiser wants its step counter where the parameter lives.
+            # A fused optimiser needs its step counter on the parameter's device.
             state[name] = value.clone().to(parameter.device)

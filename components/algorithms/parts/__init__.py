@@ -1,5 +1,5 @@
-"""What several algorithms share: records and inputs of learners, their training, parts of methods.
+"""Code shared by several algorithms: records and inputs of learners, training, parts of methods.
 
-In come lanes' datasets, fitted models and random streams; out go trained policies, one snapshot
-after the other, with their learning curves.
+In: lanes' datasets, fitted models and random streams. Out: trained policies, one snapshot after the
+other, with their learning curves.
 """

@@ -1,8 +1,8 @@
 """Advantages of trajectories of equal length, on stacked lanes: baseline, estimates, whitening.
 
 As in the code behind MOReL (mjrl): the baseline reads the time as well as the state, since a return
-ends at the horizon; it is fitted after the policy has moved, so that it does not know the returns
-whose advantages it is there to judge.
+ends at the horizon. It is fitted after the policy step, so that it has not been fitted to the
+returns whose advantages it computes.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class Baseline(nn.Module):
         observations: Width O.
         hidden: Layer widths.
         horizon: Steps T of a trajectory; time enters as a share of it, to the powers 1 to 4.
-        scale: ``[L]`` a usual return, in multiples of which the networks answer.
+        scale: ``[L]`` typical size of a return; the networks' outputs are multiples of it.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Baseline(nn.Module):
         self._clock = time ** torch.arange(1, _POWERS + 1, device=scale.device)  # [T + 1, 4]
 
     def forward(self, observations: Tensor, time: Tensor) -> Tensor:
-        """Values ``[L, B]`` of ``observations [L, B, O]`` before steps number ``time [L, B]``."""
+        """Values ``[L, B]`` of ``observations [L, B, O]`` before the steps ``time [L, B]``."""
         values: Tensor = self.stack(torch.cat([observations, self._clock[time]], dim=-1))
         return values.squeeze(-1) * self._scale
 
@@ -69,18 +69,18 @@ def generalised_advantages(
         discount: gamma.
         trace: lambda.
     """
-    surprises = rewards + discount * continues * values[1:] - values[:-1]
-    advantage, found = torch.zeros_like(surprises[0]), []
-    for surprise, goes_on in zip(surprises.flip(0), continues.flip(0), strict=True):
-        advantage = surprise + discount * trace * goes_on * advantage
-        found.append(advantage)
-    return torch.stack(found[::-1])
+    errors = rewards + discount * continues * values[1:] - values[:-1]  # temporal differences
+    advantage, backwards = torch.zeros_like(errors[0]), []
+    for error, goes_on in zip(errors.flip(0), continues.flip(0), strict=True):
+        advantage = error + discount * trace * goes_on * advantage
+        backwards.append(advantage)
+    return torch.stack(backwards[::-1])
 
 
 def discounted_returns(rewards: Tensor, continues: Tensor, discount: float) -> Tensor:
     """Returns from every step to the end of its trajectory, ``[T, ...]`` like the rewards."""
-    nothing = torch.zeros_like(rewards[:1]).expand(len(rewards) + 1, *rewards.shape[1:])
-    return generalised_advantages(rewards, nothing, continues, discount, 1.0)
+    zeros = torch.zeros_like(rewards[:1]).expand(len(rewards) + 1, *rewards.shape[1:])
+    return generalised_advantages(rewards, zeros, continues, discount, 1.0)
 
 
 def whitened(estimates: Tensor, counts: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ def whitened(estimates: Tensor, counts: Tensor) -> Tensor:
 
     Args:
         estimates: ``[L, N]``.
-        counts: ``[L, N]`` whether a sample does; one at least in every lane.
+        counts: ``[L, N]`` whether a sample counts; at least one in every lane does.
     """
     share = counts / counts.sum(dim=1, keepdim=True)
     centred = estimates - (share * estimates).sum(dim=1, keepdim=True)

@@ -1,4 +1,4 @@
-"""What an algorithm is to plans, tasks and tests: one record, with which its module ends."""
+"""The record by which plans, tasks and tests use an algorithm; every algorithm's module has one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ __all__ = ["Algorithm", "PolicyConfig", "per_transition", "per_virtual_step"]
 
 
 class PolicyConfig(Protocol):
-    """What the settings of all algorithms have in common."""
+    """Settings that all algorithms have."""
 
     @property
     def updates(self) -> int:
@@ -27,12 +27,12 @@ class Algorithm(Generic[C]):
     Attributes:
         name: In configurations, random streams, plans and tables.
         config: Its settings with their defaults, a frozen dataclass.
-        learner: ``learner(config, inputs)``: a fresh stack of learners.
+        learner: ``learner(config, inputs)`` makes a new stack of learners.
         version: To be raised whenever a change of its code can change results; part of node keys.
-        cost: Core-seconds of one seed at given settings, measured roughly on a machine of 2026.
-            Costs order the work and open the estimate, until finished nodes' times replace them.
+        cost: Core-seconds of one seed at given settings, measured roughly on a computer of 2026.
+            Costs order the nodes, and estimate their time until times of finished nodes are known.
         needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
-        takes_proximity: Whether lambda is an input of its policies.
+        takes_proximity: Whether the proximity is an input of its policies.
         frame_epsilon: Added to every feature's deviation when frames are scaled.
     """
 

@@ -1,7 +1,7 @@
-"""Falls in virtual trajectories, by ranges of frame features that the dataset's card calls healthy.
+"""Falls in virtual trajectories, by the healthy ranges of frame features on the dataset's card.
 
 A card's dynamics may name, under ``healthy``, frame features with their least and largest value;
-null is no limit. A card that names none tells of a system that never falls.
+null is no limit. A system whose card names none cannot fall.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ Ranges = tuple[Tensor, Tensor]
 
 
 def healthy_ranges(data: LaneData) -> Ranges | None:
-    """Limits of scaled frames between which nothing has fallen; None if nothing ever falls.
+    """Limits of scaled frames, outside of which a state is a fall; None if no system can fall.
 
     Raises:
-        ValueError: If a card names anything but a feature of its frames.
+        ValueError: If a card names a feature that its frames lack.
     """
     limits = torch.empty(2, data.lanes, data.frame_width)
     limits[0], limits[1] = -torch.inf, torch.inf
@@ -48,7 +48,7 @@ def steps_before_fall(frames: Sequence[Tensor], healthy: Ranges) -> Tensor:
 
     Args:
         frames: T scaled frames ``[L, N, F]``, each after its step.
-        healthy: Between which nothing has fallen.
+        healthy: Limits, outside of which a state is a fall.
     """
     low, high = healthy
     every = torch.stack([*frames])  # [T, L, N, F]

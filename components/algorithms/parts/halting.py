@@ -1,7 +1,7 @@
 """Virtual trajectories that may halt, and the samples that MOReL learns from.
 
-Where a trajectory has entered HALT, see :mod:`.pessimistic_mdp`, it goes on in memory, so that all
-lanes keep one shape, but its later steps count nowhere.
+A trajectory that has entered HALT, see :mod:`.pessimistic_mdp`, is still continued in memory, so
+that all lanes keep one shape, but its later steps are not used.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ class Halted:
     """Trajectories in the pessimistic process, ``[T, L, B]`` each.
 
     Attributes:
-        rewards: Those of the model; at the step into HALT everything HALT will ever pay.
-        alive: Whether the step is taken at all: up to and including the one into HALT.
-        halts: Whether it is the one into HALT, which is terminal.
+        rewards: Of the model; at the step into HALT the discounted sum of all rewards in HALT.
+        alive: Whether the step counts: true up to and including the step into HALT.
+        halts: Whether the step is the one into HALT, which is terminal.
     """
 
     rewards: Tensor
@@ -36,30 +36,30 @@ class Halted:
 
 
 def with_halt(
-    rewards: Tensor, doubts: Tensor, threshold: Tensor, halt_reward: Tensor, discount: float
+    rewards: Tensor, disagreements: Tensor, threshold: Tensor, halt_reward: Tensor, discount: float
 ) -> Halted:
-    """End trajectories at their first step into the unknown.
+    """End trajectories at their first unknown step.
 
     Args:
         rewards: ``[T, L, B]`` of the model.
-        doubts: Disagreement about each step, of the same shape.
-        threshold: ``[L]``; what is above it, or undefined, is unknown.
-        halt_reward: ``[L]`` per step in HALT; their discounted sum without end falls due at once.
+        disagreements: Disagreement of the members about each step, of the same shape.
+        threshold: ``[L]``; a step whose disagreement is above it, or undefined, is unknown.
+        halt_reward: ``[L]`` per step in HALT; the infinite discounted sum is paid at once.
         discount: gamma.
     """
-    unknown = ~(doubts <= threshold[:, None])
+    unknown = ~(disagreements <= threshold[:, None])
     before = unknown.cumsum(dim=0) - unknown.long()
     alive = before == 0
     halts = unknown & alive
-    due = (halt_reward / (1.0 - discount))[:, None]
-    return Halted(torch.where(halts, due, rewards), alive, halts)
+    halt_return = (halt_reward / (1.0 - discount))[:, None]
+    return Halted(torch.where(halts, halt_return, rewards), alive, halts)
 
 
 def live_samples(alive: Tensor, order: Tensor) -> Tensor:
     """Numbers of live samples ``[L, N]`` in random order, repeated where they are fewer than N.
 
-    Lanes halt differently and must stay of one shape, and a minibatch without any live sample would
-    leave an optimiser to its momentum and weight decay.
+    The number of live samples differs among lanes, whose tensors must have one shape. A minibatch
+    without live samples would still move parameters, by momentum and weight decay.
 
     Args:
         alive: ``[L, N]``, at least one true in every lane.
@@ -72,9 +72,9 @@ def live_samples(alive: Tensor, order: Tensor) -> Tensor:
 
 
 class Trajectories:
-    """Frames of virtual trajectories, from which observations are put together when asked for.
+    """Frames of virtual trajectories, from which observations are gathered on demand.
 
-    Histories overlap: stacked ones would take H times the memory.
+    Histories overlap: stored observations would take H times the memory.
 
     Args:
         begin: ``[L, B, H * F]`` observations at the start, newest frame first.
@@ -89,9 +89,9 @@ class Trajectories:
         self._lane = torch.arange(lanes, device=begin.device)[:, None]
 
     def observations(self, index: Tensor) -> Tensor:
-        """Observations ``[L, N, H * F]``; number ``t * B + b`` is what trajectory b shows at t.
+        """Observations ``[L, N, H * F]``; number ``t * B + b`` is trajectory b's at time t.
 
-        Times go from 0, before the first step, to T, after the last one.
+        Times are 0, before the first step, to T, after the last one.
         """
         per_trajectory = self._table.shape[-1] // self._width
         trajectory = self._lane * self._batch + index % self._batch
@@ -108,10 +108,10 @@ class Rollouts:
     """One update's trajectories; sample ``t * B + b`` is trajectory b's step t.
 
     Attributes:
-        states: What policies see.
-        noise: ``[L, T * B, A]`` behind the actions.
+        states: Frames, for the observations.
+        noise: ``[L, T * B, A]`` with which the actions were drawn.
         values: ``[T + 1, L, B]`` of the baseline.
-        ended: What they earn, and where they halt.
+        ended: Rewards, and the steps at which trajectories halt.
         returns: ``[T, L, B]`` from every step on.
         saturated: ``[L]`` share of action entries on a bound.
     """
@@ -124,7 +124,7 @@ class Rollouts:
     saturated: Tensor
 
     def weights(self, discount: float, trace: float) -> Tensor:
-        """What every sample's log density counts in the objective, ``[L, T * B]``.
+        """Weight of every sample's log density in the objective, ``[L, T * B]``.
 
         Args:
             discount: gamma.

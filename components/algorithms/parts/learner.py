@@ -1,4 +1,4 @@
-"""What every algorithm is given and owes, and the little they share."""
+"""Inputs and interface of learners, and helpers that all of them use."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -56,10 +56,10 @@ class LearnerInputs:
     models: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     def fitted(self, name: str, kind: type[M]) -> list[M]:
-        """The lanes' models of a name, all of them of the given class.
+        """The lanes' models of a name, all of which have the given class.
 
         Raises:
-            ValueError: If there are others, or not one per lane.
+            ValueError: If there are models of another class, or not one per lane.
         """
         found = [model for model in self.models.get(name, ()) if isinstance(model, kind)]
         if len(found) != self.data.lanes:
@@ -68,16 +68,14 @@ class LearnerInputs:
 
     @property
     def dynamics(self) -> DynamicsSpecification:
-        """What the datasets' cards tell of the dynamics; equal for all lanes.
+        """The dynamics specification on the datasets' cards, equal for all lanes.
 
         Raises:
-            ValueError: If it is not.
+            ValueError: If the lanes' specifications differ.
         """
         rules = {DynamicsSpecification.of_card(dataset.card) for dataset in self.data.datasets}
         if len(rules) != 1:
-            raise ValueError(
-                "The datasets of one stack tell of different dynamics; train them apart."
-            )
+            raise ValueError("The datasets of one stack have different dynamics; train them apart.")
         return rules.pop()
 
     @property
@@ -91,20 +89,20 @@ class PolicyLearner(BranchingLearner, Protocol):
 
     @property
     def pretraining(self) -> int:
-        """Updates before the budget begins, in which nothing is deployed yet."""
+        """Number of updates before the budget begins, during which no policy is kept."""
 
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the learners' own networks do now: what a deployed copy of them would.
+        """Actions of the learners' current networks, equal to those of :meth:`policy`.
 
         Args:
             observations: ``[L, B, O]`` histories, scaled as the networks see them.
-            proximity: ``[L, B]`` lambda in [0, 1], for those whose policies take it.
-            noise: ``[L, B, N, E]`` standard normal, for those that choose among N candidates.
+            proximity: ``[L, B]`` in [0, 1], for policies that take it.
+            noise: ``[L, B, N, E]`` standard normal, for policies that choose among N candidates.
 
         Returns:
-            Actions ``[L, B, A]`` in [-1, 1]; differentiable, unless they are chosen.
+            Actions ``[L, B, A]`` in [-1, 1]; differentiable, unless chosen among candidates.
         """
 
     def policy(self, card: PolicyCard) -> Policy:
@@ -112,10 +110,10 @@ class PolicyLearner(BranchingLearner, Protocol):
 
 
 class StackedLearner:
-    """What all stacks share: named networks and optimisers, kept and put back as one state.
+    """Base of all learners: named networks and optimisers, saved and restored as one state.
 
-    Subclasses fill the two mappings; targets and learned scalars are networks too. One that needs
-    updates before its budget counts them in ``pretraining``.
+    Subclasses fill the two mappings; targets and learned scalars are networks too. A subclass that
+    needs updates before its budget gives their number in ``pretraining``.
     """
 
     pretraining: int = 0
@@ -124,14 +122,14 @@ class StackedLearner:
     _streams: LaneStreams
 
     def stage(self, step: int) -> None:
-        """Put a step's draws where those of all staged steps lie."""
+        """Copy a step's draws to where CUDA graphs read them."""
         self._streams.stage(step)
 
     def branch(self, step: int) -> Hashable | None:
-        """Equal for steps whose updates do the same but for what is drawn; None: unlike others.
+        """Branch of a step; steps of a branch differ in their draws alone. None: no graph.
 
-        On a GPU such updates become graphs, see :mod:`components.training.cuda_graphs`. Where the
-        step number itself has a say, learners give their own answer.
+        On a GPU every branch becomes a graph, see :mod:`components.training.cuda_graphs`. Learners
+        whose update depends on the step number itself override this.
         """
         return "all"
 
@@ -143,7 +141,7 @@ class StackedLearner:
         return state
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Put back what :meth:`state_dict` returned."""
+        """Restore what :meth:`state_dict` returned."""
         for name, network in self._networks.items():
             network.load_state_dict(with_prefix(name, state))
         for name, optimizer in self._optimizers.items():
@@ -174,8 +172,8 @@ def gather_gradients(whole: nn.Module, parts: Sequence[nn.Module]) -> None:
 def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     """Step ``optimizer`` down the gradient of ``loss [L]``, summed over lanes.
 
-    Only the optimiser's own parameters get a gradient: an actor's loss does not pay for the
-    gradients of the critic it goes through.
+    Only the optimiser's own parameters get a gradient: for an actor's loss, no time is spent on the
+    gradients of the critic's weights.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     gradients = torch.autograd.grad(loss.sum(), parameters)
@@ -185,10 +183,10 @@ def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
 
 
 def needed(given: Tensor | None, what: str) -> Tensor:
-    """An input of :meth:`PolicyLearner.act` that cannot be left out.
+    """Return a required input of :meth:`PolicyLearner.act`.
 
     Raises:
-        ValueError: If it was.
+        ValueError: If it is None.
     """
     if given is None:
         raise ValueError(f"These policies need {what}.")
@@ -206,7 +204,7 @@ def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDAr
     Args:
         dataset: The log.
         window: Steps ``after`` ... ``window - 1`` of every episode are taken.
-        after: From this one on.
+        after: First step taken.
 
     Raises:
         ValueError: If no episode is longer than ``after``.
@@ -215,7 +213,7 @@ def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDAr
     found = np.flatnonzero((after <= step) & (step < window))
     if not len(found):
         raise ValueError(
-            f"No trajectory of {dataset.card.name} has a step among its first {window} but not "
-            f"among its first {after}; lower start_after."
+            f"No trajectory of {dataset.card.name} has a step after its first {after}; lower "
+            "start_after."
         )
     return found

@@ -1,12 +1,12 @@
 """Virtual transitions in a ring, as short trajectories that begin at recorded states.
 
 A trajectory of T steps is kept as the logged row it began at and its T new frames, actions and
-rewards. Its observations are put together when a batch is drawn: behind the start's recorded
-history stand the new frames, newest first, so that every observation is one run of memory.
-Stacked histories, thirty times as wide, are never stored.
+rewards. Its observations are gathered when a batch is drawn: the new frames, newest first, are
+joined with the recorded history of the start, so that every observation is contiguous in memory.
+Stacked histories, thirty times as large, are never stored.
 
-A trajectory may end before its T steps are over. What was made after its end is never drawn: its
-steps up to there are drawn the more often, again from the first one on.
+A trajectory may end before its T steps are over. Steps after its end are never drawn: their numbers
+stand for its first steps again, which are drawn the more often.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,7 @@ class ModelBuffer(nn.Module):
         """Put N trajectories at ``place`` and after it.
 
         Args:
-            place: From 0; the N trajectories must fit in between it and the ring's end.
+            place: From 0; the N trajectories must fit between it and the ring's end.
             start: ``[L, N]`` rows they began at.
             frames: T frames ``[L, N, F]`` after each action, oldest first.
             actions: T actions ``[L, N, A]``.
@@ -78,10 +78,9 @@ class ModelBuffer(nn.Module):
         place, step = index // self._length, index % self._length
         lane = torch.arange(len(index), device=index.device)[:, None]
         ended = self.ended[lane, place].long()
-        step = step % (ended + 1)  # at most T - 1, and so itself, where nothing has ended
+        step = step % (ended + 1)  # changes nothing where a trajectory has not ended
         recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
         whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
-        width, seen = self._data.frame_width, self._data.observation_width
         width, seen = self._data.frame_width, self._data.observation_width
         count = whole.shape[-1] // width  # frames of a transition's row in ``whole``
         newest = count * torch.arange(index.numel(), device=index.device).view(index.shape)

@@ -48,7 +48,7 @@ class GaussianPolicy(nn.Module):
         self.log_std = nn.Parameter(torch.full((len(keys), 1, sizes[-1]), log_std))
         with torch.no_grad():
             for parameter in self.stack.affine()[-1]:
-                parameter.mul_(0.01)  # hardly any mean at first: all states look alike
+                parameter.mul_(0.01)  # means near 0 in all states at first
 
     def forward(self, observations: Tensor) -> Tensor:
         """Means ``[L, B, A]``."""
@@ -79,14 +79,17 @@ def policy_gradient(
 
     Args:
         policy: L policies.
-        samples: Portions of observations ``[L, N, O]``, the noise ``[L, N, A]`` behind the actions
-            and weights ``[L, N]``; their sum is taken.
+        samples: Portions of observations ``[L, N, O]``, the noise ``[L, N, A]`` from which the
+            actions were drawn, and weights ``[L, N]``; the sum over all portions is taken.
+
+    Raises:
+        ValueError: There are no samples.
     """
     total: Tensor | None = None
     for observations, noise, weights in samples:
         mean = policy(observations)
         raw = (mean + policy.log_std.exp() * noise).detach()
-        # Up to a constant: its gradient is all that is asked for.
+        # Up to a constant, which has no gradient.
         log_density = -0.5 * ((raw - mean) * (-policy.log_std).exp()).square() - policy.log_std
         objective = (weights * log_density.sum(dim=-1)).sum()
         gradient = _flat(torch.autograd.grad(objective, policy.vector()))
@@ -135,25 +138,24 @@ def conjugate_gradients(
     Args:
         product: ``A v`` for ``v [L, P]``.
         target: ``[L, P]``.
-        iterations: At most; a lane rests once its squared residual has fallen below
+        iterations: At most; a lane stops once its squared residual has fallen below
             ``tolerance`` times its target's square.
-        tolerance: See there.
+        tolerance: Relative, of the squared residual.
 
     Returns:
         ``[L, P]``.
     """
     solution, residual, direction = torch.zeros_like(target), target, target
-    left = _dot(residual, residual)
-    enough = tolerance * left
+    square = _dot(residual, residual)
+    limit = tolerance * square
     for _ in range(iterations):
-        moved = product(direction)
-        going = left > enough
-        length = torch.where(going, left / _dot(direction, moved), 0.0)[:, None]
+        image = product(direction)
+        active = square > limit
+        length = torch.where(active, square / _dot(direction, image), 0.0)[:, None]
         solution = solution + length * direction
-        residual = residual - length * moved
-        square = _dot(residual, residual)
-        direction = residual + torch.where(going, square / left, 0.0)[:, None] * direction
-        left = square
+        residual = residual - length * image
+        previous, square = square, _dot(residual, residual)
+        direction = residual + torch.where(active, square / previous, 0.0)[:, None] * direction
     return solution
 
 

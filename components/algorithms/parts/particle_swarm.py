@@ -1,13 +1,13 @@
 """Particle swarm optimisation inside a box, L swarms side by side (thesis 2.6).
 
-N particles look for the position of largest fitness without any gradient. Each remembers the best
-position ``b`` it has had, and sees the best one ``n`` of its neighbours on a ring. A move is
+N particles search for the position of largest fitness without any gradient. Each stores its best
+position ``b`` so far, and reads the best one ``n`` of its neighbours on a ring. A move is
 
     v <- w v + c1 r1 (b - x) + c2 r2 (n - x)    with r1, r2 ~ U(0, 1) per entry     (2.57)
     v <- min(max(v, -v_max), v_max)             v_max: half the width of the box    (2.56)
     x <- min(max(x + v, low), high)                                                 (2.55, 5.20)
 
-Velocities begin at zero. Whoever evaluates the positions and draws the random numbers is outside.
+Velocities begin at zero. The caller evaluates the positions and draws the random numbers.
 """
 
 from dataclasses import dataclass
@@ -80,12 +80,12 @@ class Swarm(nn.Module):
 
     @torch.no_grad()
     def remember(self, fitness: Tensor) -> Tensor:
-        """Take note of the ``fitness [L, N]`` of the present positions (2.53).
+        """Update the best positions by the ``fitness [L, N]`` of the present ones (2.53).
 
-        What is no better, or undefined, is not remembered.
+        Undefined fitness never counts as better.
 
         Returns:
-            Which particles are better off than ever before, ``[L, N]``.
+            Whether a particle's present fitness is its best so far, ``[L, N]``.
         """
         better = fitness > self.best_fitness
         self.best_fitness.copy_(torch.where(better, fitness, self.best_fitness))

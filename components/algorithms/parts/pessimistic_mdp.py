@@ -1,4 +1,4 @@
-"""The pessimistic decision process of MOReL: a model environment that halts where it knows nothing.
+"""The pessimistic MDP of MOReL: a model environment that halts where its models disagree.
 
 Kidambi et al., "MOReL: Model-Based Offline Reinforcement Learning" (2020). Where the members of an
 ensemble disagree by more than a threshold the next state is unknown, and the process enters HALT:
@@ -22,14 +22,14 @@ __all__ = [
     "disagreement",
 ]
 
-CHUNK = 4096  # logged transitions of all lanes judged at once, which limits the memory
+CHUNK = 4096  # logged transitions of all lanes evaluated at once, which limits the memory
 
 
 def disagreement(prediction: Prediction, target_scale: Tensor) -> Tensor:
     """Largest distance between the predictions of two members, ``[L, B]``.
 
     Measured on standardised targets of the newest frame: raw units differ by orders of magnitude,
-    and the rest of a history is a shift that no member can be wrong about.
+    and the rest of a history follows exactly, by a shift.
 
     Args:
         prediction: Of K members.
@@ -49,7 +49,7 @@ class Detector(nn.Module):
     Args:
         environment: The lanes' model environment.
         data: The lanes' datasets.
-        beta: Caution; the lower, the more is unknown.
+        beta: Deviations above the mean that still count as known.
 
     Raises:
         ValueError: If there are fewer than two members, which cannot disagree.
@@ -63,7 +63,7 @@ class Detector(nn.Module):
         if environment.model.members < 2:
             raise ValueError("A single member cannot disagree: the ensemble needs members=2.")
         self._scale = environment.model.target_scale
-        logged = [doubts.double() for doubts in self._logged(environment, data)]
+        logged = [lane.double() for lane in self._logged(environment, data)]
         threshold = torch.stack([d.mean() + beta * d.std(correction=0) for d in logged])
         known = [(d <= t).double().mean() for d, t in zip(logged, threshold, strict=True)]
         self.register_buffer("threshold", threshold.float())
@@ -84,11 +84,11 @@ class Detector(nn.Module):
             past = data.start_states(index, environment.model.memory)
             [step] = environment.unroll(*past, partial(_acting, data.actions(index)), 1)
             found[:, rows] = self(step.prediction)
-        return [doubts[:count] for doubts, count in zip(found, data.counts, strict=True)]
+        return [lane[:count] for lane, count in zip(found, data.counts, strict=True)]
 
 
 def _acting(actions: Tensor, observations: Tensor) -> Tensor:
-    """A policy that has decided before it sees anything."""
+    """A policy of given actions, whatever the observations."""
     return actions
 
 
@@ -97,7 +97,7 @@ class PessimisticMDP:
 
     Args:
         environment: The model environment.
-        detector: Tells what is unknown to its models.
+        detector: Of states unknown to its models.
         followed: ``[T, L, B]`` the members that trajectories follow.
         halt_reward: ``[L]`` per step in HALT.
         discount: gamma.
@@ -126,21 +126,21 @@ class PessimisticMDP:
         past: Tensor,
         act: Callable[[Tensor], Tensor],
     ) -> tuple[Trajectories, Halted]:
-        """Let policies act for T steps; halted trajectories go on, but do not count any more.
+        """Let policies act for T steps; halted trajectories are continued, but not used.
 
         Args:
             begin: ``[L, B, H * F]`` observations at the start.
             past: ``[L, B, G, M]`` model frames up to there, as logged.
             act: As in :meth:`ModelEnvironment.unroll`.
         """
-        frames, rewards, doubts = [], [], []
+        frames, rewards, disagreements = [], [], []
         for step in self._environment.unroll(begin, past, act, len(self._followed), self._followed):
             frames.append(step.frames)
             rewards.append(step.rewards)
-            doubts.append(self._detector(step.prediction))
+            disagreements.append(self._detector(step.prediction))
         ended = with_halt(
             torch.stack(rewards),
-            torch.stack(doubts),
+            torch.stack(disagreements),
             self._detector.threshold,
             self._halt_reward,
             self._discount,

@@ -1,4 +1,4 @@
-"""Checks that the settings of several algorithms share; what they raise names the fields."""
+"""Checks of settings that several algorithms have; their errors name the fields."""
 
 __all__ = ["check_at_least_one", "check_bootstrapping", "check_virtual_starts"]
 

@@ -1,4 +1,4 @@
-"""Soft actor-critic, the learner inside MOPO: it is told nothing of where transitions come from.
+"""Soft actor-critic, the learner inside MOPO, independent of where its transitions come from.
 
 Haarnoja et al., "Soft Actor-Critic Algorithms and Applications" (2018), with a learned temperature.
 Per update, on one batch, ``alpha = exp(log_alpha)``:
@@ -79,7 +79,7 @@ class SoftActorCritic(StackedLearner):
     def act(
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """What the current policies do, see :class:`.PolicyLearner`."""
+        """Actions of the current policies, see :class:`.PolicyLearner`."""
         return torch.tanh(self._actor(observations)[0])
 
     # -- losses -----------------------------------------------------------------------------
@@ -118,8 +118,8 @@ class SoftActorCritic(StackedLearner):
         """One step of critics, actor, temperature and targets on all lanes.
 
         Args:
-            batch: Transitions, recorded or imagined.
-            following: Standard normal ``[L, B, 1, A]``, behind the actions at the next states.
+            batch: Transitions, logged or virtual.
+            following: Standard normal ``[L, B, 1, A]``, for the actions at the next states.
             own: The same for the actions of the actor's loss.
         """
         targets = self._targets(batch, following)

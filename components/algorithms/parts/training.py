@@ -1,9 +1,9 @@
 """Train a stack of policies: the budget cut into snapshots, resumable at any moment.
 
 Training emits snapshots, policies at equally spaced points of the budget, and never evaluates them.
-A lane whose loss becomes infinite or undefined ends there: its neighbours go on, its remaining
-snapshots repeat its last finite policy, and the policy's card says when it ended. Values that
-merely diverge are nobody's business here: such policies are kept and judged like all others.
+A lane whose loss becomes infinite or undefined ends there: the other lanes go on, its remaining
+snapshots repeat its last finite policy, and the policy's card says when it ended. Diverging values
+that are still finite do not end a lane: such policies are kept and evaluated like all others.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,15 +54,15 @@ def train_policies(
     """Train all lanes and collect their snapshots.
 
     Args:
-        algorithm: Whose name the policies' cards bear.
-        learner: A stack of L fresh learners.
+        algorithm: Its name is on the policies' cards.
+        learner: A new stack of L learners.
         datasets: One per lane.
         members: Names of the lanes, stable across restarts.
         updates: Budget.
         snapshots: S, equally spaced.
         work: Folder that survives a kill; holds the checkpoint and the snapshots so far.
-        progress: Told the finished fraction of the budget; an update of pretraining may cost a
-            hundredth of one of the budget, so that it stays at 0 until then.
+        progress: Called with the finished fraction of the budget, 0 to 1. It is 0 throughout
+            pretraining, whose updates may take a hundredth of the time of others.
         save_every: Seconds between checkpoints.
         device: The learner's.
 
@@ -121,7 +121,7 @@ def _one_stack(snapshots: Sequence[Policy], ended_at: int | None) -> Policy:
     """Snapshots after the first as one policy stack; broken ones repeat the last finite one.
 
     A lane whose loss has become infinite or undefined has ended, whatever its later numbers are;
-    the untrained policy, the first one given, stands in where it ended before the first snapshot.
+    where it ended before the first snapshot, the untrained policy, given first, is taken.
     """
     kept = [snapshots[0]]
     for snapshot in snapshots[1:]:

@@ -1,4 +1,4 @@
-"""Returns of virtual trajectories in the scale of the log: what LION and its control maximise."""
+"""Returns of virtual trajectories in the scale of the log, which LION and model_based maximise."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What logs generated datasets: formulas on the Industrial Benchmark, trained policies on robots.
+"""Controllers that log datasets: formulas on the Industrial Benchmark, trained policies on robots.
 
-In come histories or frames of many copies of a system; out come their actions.
+In: histories or frames of many copies of a system. Out: their actions.
 """

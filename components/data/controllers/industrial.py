@@ -1,9 +1,9 @@
 """The three controllers that logged the Industrial Benchmark datasets, and their exploration.
 
 Source: thesis section 3.1.1 (the three baselines and equation 3.28). The scales of the optimised
-controller, which the thesis leaves out, are the statistics of the data it was bred on, not of any
-dataset made with it. `bad` and `mediocre` act on raw steerings. A lag counts back from the current
-frame, which has lag 0.
+controller, which the thesis leaves out, are the statistics of the data on which its formula was
+found, not of any dataset made with it. `bad` and `mediocre` act on unscaled steerings. A lag counts
+back from the current frame, which has lag 0.
 
 Histories are `[N, L, 6]`, newest first, in the units of the machine; actions are `[N, 3]` in
 [-1, 1] (velocity, gain, shift).
@@ -28,12 +28,12 @@ _DEVIATIONS: Final = (28.72, 12.31, 29.91, 29.22, 31.17, 139.44)
 
 
 def bad(history: Array) -> Array:
-    """Steer everything towards 100, where the machine is worst."""
+    """Move all steerings towards 100, where the machine's rewards are lowest."""
     return np.clip(100.0 - history[:, 0, _STEERINGS], -1.0, 1.0)
 
 
 def mediocre(history: Array) -> Array:
-    """Steer everything towards 25; gain and shift overshoot and oscillate around it."""
+    """Move all steerings towards 25; gain and shift overshoot and oscillate around it."""
     return np.clip(25.0 - history[:, 0, _STEERINGS], -1.0, 1.0)
 
 
@@ -68,9 +68,9 @@ def epsilon_greedy(actions: Array, epsilon: float, rng: np.random.Generator) -> 
     """Replace whole action vectors by uniform ones (equation 3.28).
 
     Args:
-        actions: `[N, 3]` what the controller wants.
-        epsilon: chance of each row to be replaced, 0 ... 1.
-        rng: takes 4 N draws whatever epsilon is.
+        actions: `[N, 3]` of the controller.
+        epsilon: probability of each row to be replaced, 0 ... 1.
+        rng: generator, from which 4 N numbers are drawn whatever epsilon is.
 
     Returns:
         `[N, 3]`, a new array.

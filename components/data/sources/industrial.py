@@ -1,4 +1,4 @@
-"""Industrial Benchmark datasets: what they are made of and how they are made.
+"""Industrial Benchmark datasets: their settings and their generation.
 
 Source: thesis section 3.1.1. Three controllers, five amounts of exploration each, and one dataset
 of exploration alone, which is the same for all three and is called mediocre-1.0 here (global-1.0
@@ -25,12 +25,12 @@ __all__ = ["IndustrialSpec", "dataset_from_log"]
 
 @dataclass(frozen=True)
 class IndustrialSpec:
-    """What an Industrial Benchmark dataset is made of.
+    """Settings of an Industrial Benchmark dataset.
 
     Attributes:
         name: part of the random stream's identity.
         controller: one of `CONTROLLERS`.
-        epsilon: chance per step of a whole random action vector, 0 ... 1.
+        epsilon: probability per step that the whole action vector is random, 0 ... 1.
         setpoint: of the machine, 0 ... 100.
         trajectories: number of episodes.
         steps: transitions per episode.
@@ -81,12 +81,12 @@ class IndustrialSpec:
 
     @property
     def history(self) -> int:
-        """Frames in an observation: the machine shows its state only in part."""
+        """Frames in an observation: a single one shows the machine's state only in part."""
         return HISTORY_LENGTH
 
     @property
     def ingredients(self) -> Mapping[str, str]:
-        """Digests of stored things it is made with: none."""
+        """Digests of stored artifacts that it is made with: none."""
         return {}
 
     def generate(self, seed: int, threads: int = 1) -> OfflineDataset:

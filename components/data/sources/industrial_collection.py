@@ -1,8 +1,8 @@
-"""Run a controller on many copies of the machine at once and log what it does.
+"""Log a controller on many copies of the Industrial Benchmark at once.
 
-The logged frames are those the controller saw, stored once; an observation (the last 30 of them)
-is gathered when it is needed (`history.py`). Actions are rounded to float32 *before* the machine
-receives them, so the stored action is the one that was executed.
+The logged frames are those that the controller observed, each stored once; an observation (the last
+30 of them) is gathered when it is needed (`history.py`). Actions are rounded to float32 *before*
+the machine receives them, so the stored action is the one that was executed.
 
 Shapes: E trajectories of T steps.
 """
@@ -48,7 +48,7 @@ def collect(
 
     Args:
         controller: maps histories `[E, 30, 6]` to actions `[E, 3]`.
-        epsilon: chance of a random action vector per step.
+        epsilon: probability per step that the whole action vector is random.
         setpoint: of the machine, constant throughout.
         trajectories: E, all of them run at once.
         steps: T; the machine never terminates, so every trajectory is cut by time.

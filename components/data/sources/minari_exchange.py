@@ -6,10 +6,10 @@ Tools that drop the `+ 1` shift every later episode; the tests check the alignme
 
 Exported observations are single frames. The environment in the dataset's description is this
 project's, made so that it has exactly these observations; `recover_environment()` works wherever
-this package is installed. Where the benchmark's observation is a history, whoever wants it stacks
-the last frames, newest first, repeating the episode's first frame where there are fewer (the
-description says so), or exports with `stacked=True`: the same transitions with whole histories
-(180 values on the Industrial Benchmark), ready for tools that know none.
+this package is installed. Where the benchmark's observation is a history, users stack the last
+frames, newest first, repeating the episode's first frame where there are fewer (the description
+says so), or export with `stacked=True`: the same transitions with whole histories (180 values on
+the Industrial Benchmark), for tools that do not stack frames.
 
 Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
 """
@@ -48,7 +48,7 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
 
     Args:
         dataset: what to write.
-        root: the folder that MINARI_DATASETS_PATH names for whoever loads it.
+        root: the folder that MINARI_DATASETS_PATH names when the dataset is loaded.
         stacked: store observations of all history frames instead of single frames.
 
     Returns:
@@ -159,7 +159,7 @@ def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
 
 
 def _system(card: DatasetCard, history: int) -> dict[str, Any]:
-    """The system that a log comes from, or, where there is none, the spaces it lived in."""
+    """Minari's arguments for the system of a log: its environment, or the spaces if it has none."""
     if card.environment not in SYSTEMS:
         width, actions = history * len(card.frame_features), len(card.action_features)
         return {
@@ -167,7 +167,7 @@ def _system(card: DatasetCard, history: int) -> dict[str, Any]:
             "action_space": gym.spaces.Box(-1.0, 1.0, (actions,), np.float32),
         }
     parameters = dict(card.environment_parameters)
-    if card.history > 1:  # systems that are observed frame by frame do not know the word
+    if card.history > 1:  # systems that are observed frame by frame have no such parameter
         parameters["history"] = history
     environment = gym.make(card.environment, max_episode_steps=card.steps, **parameters)
     try:
@@ -211,7 +211,7 @@ def _description(card: DatasetCard, stacked: bool) -> str:
 
 @contextmanager
 def _minari_root(folder: Path) -> Iterator[None]:
-    """Minari takes its root from the environment alone, at every call."""
+    """Set Minari's root within the block; Minari reads it from the environment at every call."""
     before = os.environ.get(_ROOT_VARIABLE)
     os.environ[_ROOT_VARIABLE] = str(folder)
     try:

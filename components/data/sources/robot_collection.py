@@ -1,9 +1,9 @@
-"""Log a noisy expert on copies of a robot, so that the log does not depend on the copies.
+"""Log a noisy expert on copies of a robot; the log does not depend on the number of copies.
 
-An episode is known by its number: its start, its exploration and therefore all of it follow from
-(key, number). Copies take numbers in turn as they become free; the log is the episodes in the order
-of their numbers, cut at the wanted number of steps. Long episodes are thus as likely to be in it as
-short ones, whenever they were finished.
+An episode is identified by its number: its start and its exploration, and therefore all of it,
+follow from (key, number). A free copy takes the next number. The log is the episodes in the order
+of their numbers, cut at the wanted number of steps, so long episodes are as likely to be in it as
+short ones, whatever the order in which they finished.
 
 Actions are rounded to float32 *before* the robot receives them, so the stored action is the one
 that was executed.
@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Exploration:
-    """How a log leaves the expert's path.
+    """Exploration added to the expert's actions.
 
     Attributes:
-        epsilon: chance per step that the whole action is uniform on [-1, 1].
+        epsilon: probability per step that the whole action is uniform on [-1, 1].
         noise: deviation of the Gaussian noise on every entry of the other actions, which are then
             clipped to [-1, 1].
     """
@@ -56,7 +56,7 @@ class Episode:
         frames: `[T + 1, F]`; the first is the start's.
         actions: `[T, A]`.
         rewards: `[T]` of the state after the action.
-        terminated: whether it ended in a fall; otherwise its time was up.
+        terminated: whether it ended in a fall; otherwise it ended by time-out.
     """
 
     frames: NDArray[np.float32]
@@ -78,8 +78,8 @@ class Episode:
         )
 
 
-class _Stage:
-    """N copies, each of which lives the episode of some number, or none."""
+class _Collector:
+    """N copies, each of which runs the episode of some number, or is free."""
 
     def __init__(self, robots: Robots, exploration: Exploration, horizon: int, key: int) -> None:
         self._robots, self._exploration = robots, exploration
@@ -94,17 +94,17 @@ class _Stage:
         self._number = np.full(copies, -1)  # of the episode; -1 for none
         self._elapsed = np.zeros(copies, dtype=np.int64)
         self._starts = [lane_generator(key)] * copies  # of each copy's episode
-        self._current = robots.reset(self._starts)  # undone by the episodes' own starts
+        self._current = robots.reset(self._starts)  # replaced by the episodes' own starts
         self._begun = 0
-        self.lived = 0  # steps of all begun episodes so far
+        self.steps = 0  # of all begun episodes so far
 
     @property
     def busy(self) -> bool:
-        """Whether any copy lives an episode."""
+        """Whether any copy runs an episode."""
         return bool((self._number >= 0).any())
 
     def fill(self) -> None:
-        """Begin the next episodes on all copies that live none."""
+        """Begin the next episodes on all free copies."""
         free = self._copies[self._number < 0]
         if not len(free):
             return
@@ -122,19 +122,19 @@ class _Stage:
 
     def step(self, expert: Callable[[Array], Array]) -> dict[int, Episode]:
         """Let every copy act once; returns the episodes that end, by number."""
-        living = self._copies[self._number >= 0]
-        at = self._elapsed[living]
+        active = self._copies[self._number >= 0]
+        at = self._elapsed[active]
         taken = np.zeros_like(self._actions[:, 0])
-        uniform, noise = self._uniform[living, at], self._noise[living, at]
-        noisy = np.clip(expert(self._current[living]) + noise, -1.0, 1.0)
-        taken[living] = np.where(np.isnan(uniform), noisy, uniform)
+        uniform, noise = self._uniform[active, at], self._noise[active, at]
+        noisy = np.clip(expert(self._current[active]) + noise, -1.0, 1.0)
+        taken[active] = np.where(np.isnan(uniform), noisy, uniform)
         self._current, rewards = self._robots.step(taken.astype(np.float64))
-        self._actions[living, at], self._rewards[living, at] = taken[living], rewards[living]
-        self._frames[living, at + 1] = self._current[living]
-        self._elapsed[living] += 1
-        self.lived += len(living)
+        self._actions[active, at], self._rewards[active, at] = taken[active], rewards[active]
+        self._frames[active, at + 1] = self._current[active]
+        self._elapsed[active] += 1
+        self.steps += len(active)
         fallen = self._robots.terminated
-        ended = living[fallen[living] | (self._elapsed[living] == self._horizon)]
+        ended = active[fallen[active] | (self._elapsed[active] == self._horizon)]
         finished = {int(self._number[copy]): self._episode(copy, fallen[copy]) for copy in ended}
         self._number[ended] = -1
         return finished
@@ -163,18 +163,18 @@ def collect_episodes(
     Args:
         expert: maps frames `[N, F]` to actions `[N, A]`.
         robots: copies of the robot.
-        exploration: how the log leaves the expert's path.
-        horizon: steps after which an episode's time is up.
+        exploration: added to the expert's actions.
+        horizon: time limit of an episode, in steps.
         transitions: steps in all.
         key: random stream.
     """
-    stage = _Stage(robots, exploration, horizon, key)
+    collector = _Collector(robots, exploration, horizon, key)
     finished: dict[int, Episode] = {}
-    stage.fill()
-    while stage.busy:
-        finished |= stage.step(expert)
-        if stage.lived < transitions:  # all that begin also end, and every step of theirs counts
-            stage.fill()
+    collector.fill()
+    while collector.busy:
+        finished |= collector.step(expert)
+        if collector.steps < transitions:  # episodes that have begun are run to their end
+            collector.fill()
     log: list[Episode] = []
     missing = transitions
     while missing > 0:

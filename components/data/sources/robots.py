@@ -1,11 +1,11 @@
-"""Robot datasets: what they are made of and how they are made.
+"""Robot datasets: their settings and their generation.
 
 Source: thesis section 3.1.2 and the "imperfect demonstrations" of Fujimoto et al., "Off-Policy Deep
 Reinforcement Learning without Exploration" (2019): an expert trained online by DDPG acts with
-Gaussian noise, three steps in ten are uniformly random. The authors' repository collects 100,000
-steps for this task; the thesis says 1,000,000, which are taken.
+Gaussian noise, and three actions in ten are uniformly random. The authors' repository collects
+100,000 steps for this task; the thesis says 1,000,000, which are taken.
 
-Episodes end with a fall, which is terminal, or when their time is up, which is not.
+Episodes end with a fall, which is terminal, or by time-out, which is not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,15 +30,15 @@ _COPIES: Final = 100  # stepped together; the log does not depend on their numbe
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What a robot dataset is made of.
+    """Settings of a robot dataset.
 
     Attributes:
         name: part of the random stream's identity.
         robot: one of `ROBOTS`, whose expert ships.
-        epsilon: chance per step of a whole uniform action, 0 ... 1.
+        epsilon: probability per step that the whole action is uniform, 0 ... 1.
         noise: deviation of the Gaussian noise on the expert's own actions.
         transitions: steps in all.
-        steps: after so many an episode's time is up.
+        steps: time limit of an episode.
         physics: variant of the system, "v3" or "v5".
         discount: of the returns on the card.
 
@@ -91,7 +91,7 @@ class RobotSpec:
 
     @property
     def history(self) -> int:
-        """Frames in an observation: one shows the state whole."""
+        """Frames in an observation: a single one shows the whole state."""
         return 1
 
     @property
@@ -109,7 +109,7 @@ class RobotSpec:
 
         Raises:
             FileNotFoundError: the robot's expert is missing.
-            ValueError: the expert is damaged or knows another robot.
+            ValueError: the expert is damaged or was trained on another robot.
         """
         expert = self._expert()
         robots = Robots(ROBOTS[self.robot], _COPIES, self.physics, threads)

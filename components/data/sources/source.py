@@ -1,4 +1,4 @@
-"""What a dataset comes from: one kind of source per way of getting a log."""
+"""The interface of dataset sources, and the choice among their kinds."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -12,23 +12,23 @@ __all__ = ["DatasetSource", "generate", "source_kind"]
 
 
 class DatasetSource(Protocol):
-    """Where a dataset comes from; a frozen dataclass with the fields of conf/dataset."""
+    """A source of a dataset: a frozen dataclass with the fields of a file of conf/dataset."""
 
     @property
     def name(self) -> str:
-        """Of the dataset."""
+        """Name of the dataset."""
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """The fields that identify the dataset: what :func:`source_kind` makes the same one of."""
+        """The fields that identify the dataset; the class of :func:`source_kind` takes them."""
 
     @property
     def ingredients(self) -> Mapping[str, str]:
-        """Digests of stored things that it is made with; they identify it beside its fields."""
+        """Digests of stored artifacts that it is made with; they identify it, too."""
 
     @property
     def environment(self) -> str | None:
-        """Gymnasium id of the system that judges what is learned from it; None: there is none."""
+        """Gymnasium id of the system on which policies are evaluated; None: there is none."""
 
     @property
     def environment_parameters(self) -> Mapping[str, Any]:
@@ -36,7 +36,7 @@ class DatasetSource(Protocol):
 
     @property
     def discount(self) -> float:
-        """Of the returns on the card."""
+        """Gamma of the returns on the card."""
 
     @property
     def history(self) -> int:
@@ -44,7 +44,7 @@ class DatasetSource(Protocol):
 
     @property
     def steps(self) -> int:
-        """Of the longest episode, at most."""
+        """Largest number of steps of an episode."""
 
     def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
         """Make the dataset; the same bytes for the same fields, ingredients and seed."""
@@ -65,7 +65,7 @@ def generate(source: DatasetSource, seed: int, threads: int = 1) -> OfflineDatas
     Args:
         source: what to make.
         seed: a whole number from 0.
-        threads: that may be used; the bytes do not depend on them.
+        threads: number of threads to use; the bytes do not depend on it.
 
     Raises:
         FileNotFoundError: an ingredient is missing.

@@ -1,7 +1,7 @@
-"""Logs that lie in a folder already, such as those of a machine of one's own, without a simulator.
+"""Logs that are stored in a folder already, such as those of a real plant without a simulator.
 
 The folder is one that `OfflineDataset.write` has filled, with a card as :func:`.assembly.assemble`
-makes it. What is known of the dataset is read off that card.
+makes it. The properties of the dataset are read from that card.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ class StoredLog:
 
     @cached_property
     def card(self) -> DatasetCard:
-        """As it was stored; read when it is first asked for: a log that nobody wants may be away.
+        """The stored card. It is read on first use, so the folder of an unused log may be missing.
 
         Raises:
             FileNotFoundError: there is no log.
@@ -54,7 +54,7 @@ class StoredLog:
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """Its name alone: where the log lies changes nothing, what it holds is an ingredient."""
+        """The name alone: its folder changes nothing, and its content is among the ingredients."""
         return {"name": self.name, "log": ""}
 
     @property
@@ -94,7 +94,7 @@ class StoredLog:
         return self.card.steps
 
     def generate(self, seed: int, threads: int = 1) -> OfflineDataset:
-        """Open the log, under the name it has here; its bytes are checked, the seed has no say.
+        """Open the log under the name it has here and check its bytes; the seed is not used.
 
         Raises:
             FileNotFoundError: there is no log, or one of its files is missing.

@@ -23,13 +23,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from components.environments.industrial.goldstone import (
-    ALPHA,
-    BETA,
-    SAFE_ZONE,
-    GoldstoneTables,
-    decode_latents,
-)
+from components.environments.industrial.fatigue import Fatigue
+from components.environments.industrial.goldstone import decode_latents
+from components.environments.industrial.mis_calibration import MisCalibration
 from components.environments.industrial.noise import DrawnNoise, NoiseSource
 from components.environments.industrial.start_state import StartState
 
@@ -52,14 +48,13 @@ DYNAMICS: Final[Mapping[str, Any]] = {
     "learned": ["fatigue", "consumption"],
     "reward": {"fatigue": -0.03, "consumption": -0.01},
 }
-"""What an operator knows without experiments: the effect of an action on the steerings, and the
+"""The dynamics specification, known without data: the effect of an action on the steerings, and the
 reward of a frame."""
 
 _COST_WEIGHTS = np.array([0.11111, 0.22222, 0.33333, 0.22222, 0.11111, 0.0, 0.0, 0.0, 0.0, 0.0])
 _COST_RATES = np.array([0.04, 0.025, 0.0])
 _REWARD_RATES = np.array([-0.03, -0.01])
 _COST_STEPS = _COST_WEIGHTS.size
-_CAP = 5.0
 
 Array = NDArray[np.float64]
 
@@ -90,60 +85,25 @@ class IndustrialBenchmark:
         self.frame_features = FRAME_FEATURES
         self.action_features = STEERINGS
         self.terminated = np.zeros(copies, dtype=np.bool_)
-        self._tables = GoldstoneTables.build()
-        self._effective_constants()
         # row k: the weights of the cost ring when its oldest entry sits in row k
         self._ring_weights = np.stack([np.roll(_COST_WEIGHTS, k) for k in range(_COST_STEPS)])
         self._noise: NoiseSource | None = None
         self._allocate()
 
-    def _effective_constants(self) -> None:
-        """Coefficients of effective velocity and gain (equations 3.20-3.23) at this setpoint.
-
-        Both have the form numerator / (steering + shift) + offset.
-        """
-        p = self.setpoint
-
-        def gain(g: float) -> float:
-            return 1.0 / (g + p + 1.0)
-
-        def velocity(v: float, g: float) -> float:
-            return (g + p + 2.0) / (v - p + 101.0)
-
-        gain_scale = 1.0 / (gain(0.0) - gain(100.0))
-        span = velocity(100.0, 0.0) - velocity(0.0, 100.0)
-        self._velocity_scale = -1.0 / span
-        offsets = (1.0 + velocity(0.0, 100.0) / span, -gain(100.0) * gain_scale)
-        self._effective_offsets = np.array(offsets)[:, None]
-        self._effective_shifts = np.array((101.0 - p, p + 1.0))[:, None]
-        self._numerator = np.full((2, self.copies), gain_scale)  # the gain's row never changes
-
     def _allocate(self) -> None:
         n = self.copies
         self._steerings = np.zeros((3, n))
-        self._hidden = np.zeros((2, n))  # mu of equations 3.26 and 3.27: velocity, gain
-        self._latents = np.zeros(n, dtype=np.intp)  # table column of domain, response, direction
+        self._fatigue = Fatigue(n, self.setpoint)
+        self._mis_calibration = MisCalibration(n, self.setpoint)
         self._costs = np.zeros((_COST_STEPS, n))  # ring; row _oldest is overwritten next
         self._oldest = 0
-        self._effective = np.zeros((2, n))
-        self._shift = np.zeros(n)
-        self._potential = np.zeros(n)
-        self._basic_fatigue = np.zeros(n)
         self._convolved = np.zeros(n)
         self._delta = np.empty((3, n))
         # whole arrays of limits: NumPy is twice as fast on them as on broadcast numbers
         self._zeros, self._ones = np.zeros((3, n)), np.ones((3, n))
         self._minus_ones, self._hundreds = -self._ones, 100.0 * self._ones
         self._step_sizes = _STEP_SIZES * self._ones
-        self._caps = np.full((2, n), _CAP)
-        self._pair = np.empty((2, n))
-        self._pair2 = np.empty((2, n))
-        self._pair3 = np.empty((2, n))
-        self._pair_mask = np.empty((2, n), dtype=np.bool_)
-        # _one carries the fatigue through a step, the others are scratch
-        self._one, self._two, self._three, self._four = np.empty((4, n))
-        self._mask = np.empty(n, dtype=np.bool_)
-        self._index = np.empty(n, dtype=np.intp)
+        self._cost, self._spread = np.empty((2, n))
         self._columns = np.zeros((6, n))
         self._rewards = np.zeros(n)
 
@@ -157,7 +117,7 @@ class IndustrialBenchmark:
         """Start all copies and take the one step of action zero that the reference takes.
 
         Args:
-            rng: generator of all noise from here on; without it the previous one goes on.
+            rng: generator of all noise from here on; without it the previous one is used further.
             start: state before that first step, numbers or arrays `[N]`: `velocity`, `gain`,
                 `shift`, `hidden_velocity`, `hidden_gain`, `domain`, `response`, `direction`
                 (`START_DEFAULTS`), and `operational_costs`, `[10]` or `[N, 10]` oldest first
@@ -191,7 +151,7 @@ class IndustrialBenchmark:
 
         Args:
             copies: `[N]` mask of the copies to start again.
-            rng: generator of their first step; later steps go on with the one of `reset`.
+            rng: generator of their first step; later steps use that of `reset`.
             start: as in `reset`, arrays as long as the mask has true entries.
 
         Returns:
@@ -202,10 +162,10 @@ class IndustrialBenchmark:
             return np.empty((0, 6))
         fresh = IndustrialBenchmark(chosen.size, self.setpoint)
         frames = fresh.reset(rng, start=start)
-        for name in ("_steerings", "_hidden", "_effective"):
-            getattr(self, name)[:, chosen] = getattr(fresh, name)
-        for name in ("_latents", "_shift", "_potential", "_basic_fatigue", "_convolved"):
-            getattr(self, name)[chosen] = getattr(fresh, name)
+        self._steerings[:, chosen] = fresh._steerings
+        self._fatigue.replace(chosen, fresh._fatigue)
+        self._mis_calibration.replace(chosen, fresh._mis_calibration)
+        self._convolved[chosen] = fresh._convolved
         self._costs[:, chosen] = np.roll(fresh._costs, self._oldest - fresh._oldest, axis=0)
         self._columns, self._rewards = self._columns.copy(), self._rewards.copy()
         self._columns[:, chosen], self._rewards[chosen] = fresh._columns, fresh._rewards
@@ -213,8 +173,8 @@ class IndustrialBenchmark:
 
     def _begin(self, start: StartState) -> None:
         self._steerings[:] = start.steerings
-        self._hidden[:] = start.hidden
-        self._latents[:] = 3 * start.latents + 1
+        self._fatigue.hidden[:] = start.hidden
+        self._mis_calibration.latents[:] = 3 * start.latents + 1
         self._oldest = 0
         costs = start.operational_costs
         self._costs[:] = self._operational_cost() if costs is None else costs
@@ -243,9 +203,9 @@ class IndustrialBenchmark:
         if source is None:
             raise ValueError("step was called before reset; reset the environment first.")
         self._steer(wanted)
-        fatigue = self._fatigue(source)
+        fatigue = self._fatigue.step(self._steerings, source)
         self._convolve()
-        self._calibrate()
+        self._mis_calibration.step(self._steerings[2])
         return self._observe(fatigue, source)
 
     def _steer(self, wanted: Array) -> None:
@@ -263,62 +223,9 @@ class IndustrialBenchmark:
             raise ValueError("actions hold a value that is not a number; the copies did not move.")
         self._steerings, self._delta = delta, steerings
 
-    def _fatigue(self, source: NoiseSource) -> Array:
-        """Equations 3.17-3.27; returns the fatigue `[N]`."""
-        velocity, gain = self._steerings[0], self._steerings[1]
-        effective, hidden = self._effective, self._hidden
-        one, two = self._one, self._two
-
-        denominator, numerator = self._pair, self._numerator
-        np.add(self._steerings[:2], self._effective_shifts, out=denominator)
-        np.add(denominator[1], 1.0, out=numerator[0])
-        np.multiply(numerator[0], self._velocity_scale, out=numerator[0])
-        np.divide(numerator, denominator, out=effective)
-        effective += self._effective_offsets
-
-        base, uniform, binary = source.fatigue(effective)
-        noise, mask = self._pair, self._pair_mask
-        np.subtract(self._ones[:2], base, out=noise)
-        noise *= uniform
-        noise *= binary
-        noise *= effective
-        noise += base
-
-        grown, decayed = self._pair2, self._pair3
-        np.greater_equal(hidden, 1.2, out=mask)
-        np.multiply(hidden, 1.1, out=grown)
-        np.minimum(grown, self._caps, out=grown)
-        np.multiply(noise, 1.0 / 3.0, out=decayed)
-        hidden *= 0.9
-        hidden += decayed
-        np.putmask(hidden, mask, grown)
-        np.less_equal(effective, 0.05, out=mask)
-        np.putmask(hidden, mask, effective)
-
-        amplification = one
-        np.maximum(noise[0], noise[1], out=amplification)
-        np.maximum(hidden[0], hidden[1], out=two)
-        np.greater_equal(two, _CAP, out=self._mask)
-        normals = source.saturation(self._mask)
-        if np.count_nonzero(self._mask):
-            saturated = 1.0 / (1.0 + np.exp(-2.4 - 0.4 * normals))
-            np.putmask(amplification, self._mask, saturated)
-
-        basic = self._basic_fatigue
-        np.add(velocity, 20.0, out=basic)
-        np.divide(6000.0, basic, out=basic)
-        np.multiply(gain, gain, out=two)
-        two *= 0.01
-        basic -= two
-        np.maximum(basic, 0.0, out=basic)
-        amplification *= 2.0 / 3.0
-        amplification += 1.0 / 3.0
-        amplification *= basic
-        return amplification
-
     def _operational_cost(self) -> Array:
-        """Equation 3.3; the result lives in a buffer."""
-        cost = self._three
+        """Equation 3.3; the result is a buffer, which the next step overwrites."""
+        cost = self._cost
         np.dot(_COST_RATES, self._steerings, out=cost)
         cost += 0.02 * self.setpoint
         np.exp(cost, out=cost)
@@ -330,54 +237,14 @@ class IndustrialBenchmark:
         self._oldest = (self._oldest + 1) % _COST_STEPS
         np.dot(self._ring_weights[self._oldest], self._costs, out=self._convolved)
 
-    def _calibrate(self) -> None:
-        """Equations 3.5, 3.6 and 3.9-3.16."""
-        tables, shift, mask, index = self._tables, self._shift, self._mask, self._index
-        np.multiply(self._steerings[2], 0.05, out=shift)
-        shift -= self.setpoint / 50.0 + 1.5
-        np.maximum(shift, -1.5, out=shift)
-        np.minimum(shift, 1.5, out=shift)
-
-        np.greater(shift, SAFE_ZONE, out=mask)
-        np.add(self._latents, mask, out=index)
-        np.less(shift, -SAFE_ZONE, out=mask)
-        index -= mask
-        latents = self._latents
-        tables.transition.take(index, out=latents, mode="clip")
-
-        # up to the radius omega is linear, beyond it a power of the excess is added
-        scaled, excess, constant = self._two, self._three, self._four
-        np.abs(shift, out=scaled)
-        tables.radius.take(latents, out=constant, mode="clip")
-        np.subtract(scaled, constant, out=excess)
-        np.maximum(excess, 0.0, out=excess)
-        np.minimum(scaled, constant, out=scaled)
-        tables.slope.take(latents, out=constant, mode="clip")
-        scaled *= constant
-        tables.exponent.take(latents, out=constant, mode="clip")
-        np.power(excess, constant, out=excess)
-        tables.factor.take(latents, out=constant, mode="clip")
-        excess *= constant
-        scaled += excess
-
-        potential = self._potential
-        tables.bias.take(latents, out=potential, mode="clip")
-        np.copysign(scaled, shift, out=excess)
-        potential *= excess
-        scaled *= scaled
-        np.multiply(scaled, BETA, out=excess)
-        excess -= ALPHA
-        excess *= scaled
-        potential += excess
-
     def _observe(self, fatigue: Array, source: NoiseSource) -> tuple[Array, Array]:
         """Equations 3.2, 3.7 and 3.8."""
         columns = np.empty((6, self.copies))  # handed out transposed: no strided writes
         columns[0] = self.setpoint
         columns[1:4] = self._steerings
         columns[4] = fatigue
-        exact, spread = columns[5], self._two
-        np.multiply(self._potential, 25.0, out=exact)
+        exact, spread = columns[5], self._spread
+        np.multiply(self._mis_calibration.potential, 25.0, out=exact)
         exact += self._convolved
         exact += 25.0
         np.multiply(exact, 0.005, out=spread)
@@ -395,21 +262,22 @@ class IndustrialBenchmark:
         values of `reset`: `effective_shift`, `effective_gain`, `effective_velocity`, `potential`,
         `basic_fatigue`, `convolved_cost` and `reward`.
         """
-        latents = np.array([decode_latents(int(i) // 3) for i in self._latents])
+        fatigue, mis_calibration = self._fatigue, self._mis_calibration
+        latents = np.array([decode_latents(int(i) // 3) for i in mis_calibration.latents])
         visible = dict(zip(FRAME_FEATURES, self._columns.copy(), strict=True))
         return {
             **visible,
             "operational_costs": np.roll(self._costs, -self._oldest, axis=0).T.copy(),
-            "hidden_velocity": self._hidden[0].copy(),
-            "hidden_gain": self._hidden[1].copy(),
+            "hidden_velocity": fatigue.hidden[0].copy(),
+            "hidden_gain": fatigue.hidden[1].copy(),
             "domain": latents[:, 0],
             "response": latents[:, 1],
             "direction": latents[:, 2],
-            "effective_shift": self._shift.copy(),
-            "effective_velocity": self._effective[0].copy(),
-            "effective_gain": self._effective[1].copy(),
-            "potential": self._potential.copy(),
-            "basic_fatigue": self._basic_fatigue.copy(),
+            "effective_shift": mis_calibration.shift.copy(),
+            "effective_velocity": fatigue.effective[0].copy(),
+            "effective_gain": fatigue.effective[1].copy(),
+            "potential": mis_calibration.potential.copy(),
+            "basic_fatigue": fatigue.basic.copy(),
             "convolved_cost": self._convolved.copy(),
             "reward": self._rewards.copy(),
         }

@@ -3,7 +3,7 @@
 The penalty depends on the effective shift and on three latent variables (domain, response and
 direction, thesis equations 3.9-3.16). The latents take 2 x 2 x 13 values and move by the sign of
 the effective shift alone, so both the latent transition and the constants of the potential are
-small tables that a vectorised environment looks up by one index per copy.
+small tables, which a vectorised environment reads by one index per copy.
 
 Source: thesis equations 3.6 and 3.9-3.16. Deviations, all demanded by the recordings of the
 reference implementation: the safe zone is sin(15 deg)/2 = 0.1294 (the thesis prints 0.1309), and

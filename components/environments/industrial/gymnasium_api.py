@@ -1,8 +1,8 @@
 """The Industrial Benchmark behind Gymnasium's interfaces, single and vectorised.
 
 An observation is the last frames (30 by default), newest first, flattened frame by frame, float32.
-At the start of an episode the first frame stands for the missing ones. The machine never
-terminates; episodes end by time, if at all.
+At the start of an episode the first frame is repeated in the place of missing ones. The machine
+never terminates; episodes end by time-out, if at all.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ def _check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) ->
 
 
 class IndustrialBenchmarkEnv(gym.Env[Observation, NDArray[np.floating]]):
-    """One machine.
+    """A single Industrial Benchmark.
 
     Args:
         setpoint: load demanded from the machine, 0 ... 100.
@@ -83,7 +83,7 @@ class IndustrialBenchmarkEnv(gym.Env[Observation, NDArray[np.floating]]):
         """Start an episode.
 
         Args:
-            seed: of all noise from here on; without it the generator goes on.
+            seed: of all noise from here on; without it the previous generator is used further.
             options: `{"start": {...}}` sets the start state, see `IndustrialBenchmark.reset`.
         """
         super().reset(seed=seed)
@@ -158,7 +158,7 @@ class IndustrialBenchmarkVectorEnv(VectorEnv[Observation, NDArray[np.floating], 
         """Start episodes.
 
         Args:
-            seed: of all noise from here on; without it the generator goes on.
+            seed: of all noise from here on; without it the previous generator is used further.
             options: `{"start": {...}}` sets the start state (numbers, or arrays over the machines
                 that start); `{"reset_mask": [N] bool}` starts only some.
         """

@@ -2,9 +2,9 @@
 
 One step of N copies takes, in this order: an exponential, a uniform and a binary draw for each of
 velocity and gain (thesis equations 3.24-3.27), a normal where the fatigue has saturated (equation
-3.19) and a normal for the consumption (equation 3.8). `NoiseSource` is what the dynamics asks;
-`DrawnNoise` answers from a `numpy.random.Generator`, `Noise` answers with given arrays, so that a
-recorded run can be replayed or a test can fix every draw.
+3.19) and a normal for the consumption (equation 3.8). `NoiseSource` is the interface. `DrawnNoise`
+draws from a `numpy.random.Generator`; `Noise` holds given arrays, so that a recorded run can be
+replayed or a test can fix every draw.
 
 Arrays of velocity and gain are `[2, N]`, velocity first.
 
@@ -35,7 +35,7 @@ def squash(exponential: Array) -> Array:
 
 
 class NoiseSource(Protocol):
-    """Answers the draws of one step, called in the order of the methods below."""
+    """Provides the draws of one step; its methods are called in the order below."""
 
     def fatigue(self, effective: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Squashed exponential (`squash`), uniform and binary draws, each `[2, N]`.
@@ -109,7 +109,7 @@ class DrawnNoise:
     given t < p, t / p is uniform again.
 
     Args:
-        rng: gives the seed of an own generator of a faster kind, and nothing after that.
+        rng: generator from which the seed of a faster one is drawn; it is not used after that.
         copies: number of copies N.
     """
 

@@ -1,4 +1,4 @@
-"""The state in which the Industrial Benchmark starts, given by whoever resets it.
+"""The state in which the Industrial Benchmark starts, checked at every reset.
 
 The reference starts at velocity = gain = shift = 50 with its hidden state at rest. Every value may
 be set, as one number for all copies or one for each.

@@ -1,5 +1,5 @@
 """The MuJoCo robots, each described by one record in :mod:`.specifications`.
 
-In come torques; out come frames, rewards and falls, of N copies at once (:mod:`.robots`, on
+In: torques. Out: frames, rewards and falls, of N copies at once (:mod:`.robots`, on
 :mod:`.simulations`) or of one robot behind Gymnasium's interface (:mod:`.gymnasium_api`).
 """

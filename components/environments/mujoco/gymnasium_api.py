@@ -1,7 +1,7 @@
 """Single robots behind Gymnasium's interface: its own v5 classes with the choice of a physics.
 
-They serve where one robot is looked at: rendering, Minari's specification of a dataset's
-environment, and as the oracle of `Robots`. Like Gymnasium's own they do not clip actions.
+They are used for rendering, for Minari's specification of a dataset's environment, and as the
+reference in tests of `Robots`. Like Gymnasium's own they do not clip actions.
 
 Every robot of :data:`.specifications.ROBOTS` has its class here, e.g. `HopperRobot`.
 """
@@ -54,9 +54,9 @@ class _Legged(_WithPhysics):
 
     @property
     def healthy_reward(self) -> float:
-        """In v3 also of the step that ends in a fall."""
-        earned = self.is_healthy or self._physics == "v3"
-        return earned * self._healthy_reward
+        """Healthy reward of the last step; in v3 also of the step that ends in a fall."""
+        paid = self.is_healthy or self._physics == "v3"
+        return paid * self._healthy_reward
 
 
 @cache

@@ -5,9 +5,9 @@ the thesis used (`specifications.py`), computed for all copies together; the rew
 forward speed + healthy reward - control cost (thesis section 3.2, which prints the forward speed
 with the sign reversed).
 
-A fall is for good: a copy that has fallen is not simulated any more, its frame stays and its reward
-is zero until it is started again. A simulation that becomes unstable counts as fallen; its position
-is lost, so its last step earns no forward speed.
+A copy that has fallen is not simulated any more: its frame stays and its reward is zero until it is
+started again. A simulation that becomes unstable counts as fallen; its position is lost, so the
+reward of its last step has no forward speed.
 
 Shapes: actions `[N, A]`, frames `[N, F]`, rewards `[N]`.
 """
@@ -32,12 +32,12 @@ class Robots:
         robot: which one.
         copies: number of copies N.
         physics: "v3" as in the thesis, "v5" as in Gymnasium today.
-        threads: that step the copies; the numbers do not depend on it.
+        threads: number of threads that step the copies; the numbers do not depend on it.
 
     Attributes:
         frame_features: names of the F values of a frame.
         action_features: names of the A values of an action.
-        terminated: `[N]` who has fallen.
+        terminated: `[N]` whether a copy has fallen.
 
     Raises:
         ValueError: a copy or thread count below one, or a physics that does not exist.
@@ -143,7 +143,7 @@ class Robots:
         return self._frames(), rewards
 
     def _advance(self, ids: NDArray[np.intp], torques: Array) -> Array:
-        """Simulate the copies that stand, note who falls, and return their rewards `[M]`."""
+        """Simulate the copies that stand, update `terminated`, and return the rewards `[M]`."""
         robot, simulations = self._robot, self._simulations
         before = simulations.positions[ids, 0]
         simulations.advance(ids, torques, robot.substeps)

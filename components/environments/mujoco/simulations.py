@@ -31,7 +31,7 @@ _FAILURES = [
 
 
 class Simulations(Protocol):
-    """What a robot needs of its simulator."""
+    """The interface of N simulations."""
 
     @property
     def positions(self) -> Array:
@@ -61,7 +61,7 @@ class BatchedSimulations:
     Args:
         model: of all of them.
         copies: N.
-        threads: that step them.
+        threads: number of threads that step them.
     """
 
     def __init__(self, model: mujoco.MjModel, copies: int, threads: int) -> None:

@@ -1,4 +1,4 @@
-"""What makes a robot: its MuJoCo model, what is observed of it, what it earns, when it has fallen.
+"""Specifications of the robots: MuJoCo models, observed features, rewards and falls.
 
 The numbers are the defaults of Gymnasium's v5 classes. The thesis (section 3.2) used the third
 version of these environments; `physics="v3"` restores it on today's MuJoCo:
@@ -60,7 +60,7 @@ class Health:
     def holds(
         self, positions: NDArray[np.float64], velocities: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """`[N]` who stands, from positions `[N, nq]` and velocities `[N, nv]`."""
+        """`[N]` whether a copy stands, from positions `[N, nq]` and velocities `[N, nv]`."""
         low, high = self.height
         height, rest = positions[:, 1], np.abs(positions[:, 2:])
         standing = (low < height) & (height < high) & (rest[:, 0] < self.angle)
@@ -82,8 +82,8 @@ class Robot:
         unseen_positions: how many of the first positions, those in the plane, are not observed.
         velocity_limit: observed velocities are clipped to it.
         control_cost: weight of the squared action in the reward.
-        healthy_reward: earned per step while standing.
-        health: when it stands; None for a robot that cannot fall.
+        healthy_reward: added to the reward of every step while it stands.
+        health: the states in which it stands; None for a robot that cannot fall.
         reset_noise: half width of the uniform noise on a start's positions and velocities.
         substeps: steps of the simulator in a step of control.
     """
@@ -113,19 +113,19 @@ class Robot:
 
     @property
     def class_name(self) -> str:
-        """Of a single one in :mod:`.gymnasium_api`."""
+        """Name of its class in :mod:`.gymnasium_api`."""
         return f"{self.title}Robot"
 
     @property
     def dynamics(self) -> dict[str, Any]:
-        """What is known of it without learning: that it is told its action, and nothing else.
+        """The dynamics specification: nothing is known without learning but the action itself.
 
         Returns:
             `known`: features that follow from the action, as clip(keep * old + scale * action, low,
             high); `learned`: those to be predicted; `reward`: weights of learned ones in the
             reward; of robots that can fall also `healthy`: the ranges of frame features, bounds
-            excluded, within which they stand (None: no bound). Learners look at these only where
-            their authors do, which is MOPO alone.
+            excluded, within which they stand (None: no bound). Of the learners MOPO alone uses
+            these, since its authors do.
         """
         actions, frame = self.action_features, self.frame_features
         section = {
@@ -141,7 +141,7 @@ class Robot:
         }
         if self.health is None:
             return section
-        height, angle, *others = frame  # what stands upright shows these first
+        height, angle, *others = frame  # the order of frames of robots that stand upright
         state = self.health.state
         limits = {height: self.health.height, angle: (-self.health.angle, self.health.angle)}
         limits |= dict.fromkeys(others, (-state, state))
@@ -215,7 +215,7 @@ WALKER2D: Final = Robot(
 ROBOTS: Final[Mapping[str, Robot]] = MappingProxyType(
     {robot.name: robot for robot in (SWIMMER, HOPPER, WALKER2D)}
 )
-"""All robots by short name; whatever else knows robots by name reads them here."""
+"""All robots by short name, the only list of them."""
 
 
 def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
@@ -226,7 +226,7 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
     """
     if physics not in PHYSICS:
         raise ValueError(f"physics {physics!r} does not exist; choose {' or '.join(PHYSICS)}.")
-    import mujoco  # slow, and not needed by whoever only reads what is written here
+    import mujoco  # slow, and not needed for reading the records above
 
     spec = mujoco.MjSpec.from_file(str(_ASSETS / robot.models[physics]))
     if physics == "v3":

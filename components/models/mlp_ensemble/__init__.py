@@ -1,5 +1,5 @@
 """One-step transition models: ensembles of multilayer perceptrons, deterministic or Gaussian.
 
-In comes a dataset whose card tells what is known of its dynamics; out goes an ensemble that
-predicts the learned features of the next frame from a history and the known ones.
+In: a dataset whose card has a dynamics specification. Out: an ensemble that predicts the learned
+features of the next model frame from a history and the known features.
 """

@@ -1,6 +1,6 @@
 """How the three kinds of one-step ensembles are built and trained.
 
-They share every setting a search may vary; what makes a kind is fixed in its class.
+They share every setting a search may vary; the class of a kind fixes what distinguishes it.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ class MLPEnsembleConfig:
             the mean squared error.
         weight_norm: Whether weights are learned as directions and lengths.
         bootstrap: Whether every member learns from its own resampling of the transitions.
-        decay_shares: Of the weight decay, from the first layer on; the layers after them bear the
-            last but one, the output layer the last.
+        decay_shares: Factors of the weight decay, from the first layer on; further hidden layers
+            have the last but one, the output layer has the last.
     """
 
     activation: ClassVar[str] = "relu"
@@ -40,7 +40,7 @@ class MLPEnsembleConfig:
     elites: int = 0  # members of lowest held-out error that are followed; 0: all
     hidden: tuple[int, ...] = (400, 300)  # layer widths
     history: int = 0  # frames read, newest first; 0: as many as the dataset's observations have
-    target: str = "auto"  # predicted: value, change, or auto: what errs less on held-out data
+    target: str = "auto"  # predicted: value, change, or auto: that of lower held-out error
     epochs: int = 16  # passes over the training transitions; training may stop earlier
     batch: int = 500  # transitions per update and member
     learning_rate: float = 3e-4  # Adam, at the start

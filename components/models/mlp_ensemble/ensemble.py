@@ -45,7 +45,7 @@ class MLPEnsemble:
             first, then the next model frame's known features, all normalised; outputs are D
             standardised targets, for Gaussian members D log variances after them.
         frames: Scaling of a model frame's features ``[M]``; the last D are the learned ones.
-        observed: Where the features that policies see begin among these, and where they end.
+        observed: Index of the first feature that policies see, and of the first one after these.
         low: ``[D]`` smallest normalised targets of the training data.
         high: ``[D]`` largest.
         target_mean: ``[D]`` mean of what is predicted, in normalised units; 0 for values.
@@ -77,7 +77,7 @@ class MLPEnsemble:
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """What lanes of one stack must share."""
+        """Kind and sizes, which must be equal for all lanes of a stack."""
         widths = tuple(int(weight.shape[2]) for weight, _ in self.layers)
         kind = "gaussian" if self.log_variance.numel() else "deterministic"
         sizes = (self.members, len(self.elites), self.history, *self.observed)
@@ -146,8 +146,8 @@ class MLPTransition:
 
     Args:
         ensembles: One per lane, of equal shapes.
-        scaling: Scaling of the frames that policies see, ``[L, F]``; the change to the models' own
-            is folded into the first layer.
+        scaling: Scaling of the frames that policies see, ``[L, F]``; the conversion to the models'
+            own scaling is folded into the first layer.
         device: Where to compute.
 
     Raises:
@@ -194,7 +194,7 @@ class MLPTransition:
         self._side_by_side = by_member.transpose(1, 2).flatten(2)
 
     def begin(self, past: Tensor) -> None:
-        """Nothing is remembered between steps but the frames."""
+        """No state: a step depends on the frames alone."""
 
     def predict(
         self, state: None, observation: Tensor, known: Tensor, own: Tensor

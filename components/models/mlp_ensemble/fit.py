@@ -1,21 +1,22 @@
 """Training of the one-step ensembles, all members and target forms as lanes of one stack.
 
 From a transition's last frames and the known features of the next model frame, which follow from
-the action exactly, a member predicts the learned ones. What policies do not see of them, a robot's
-reward, is a value in either form. Every true terminal adds a transition from the terminal state to
-itself, by which the end is learned (:mod:`components.data.absorbing_states`). Where the target
-form is left to the data (thesis 5.1: value or change, whichever does better on held-out
-trajectories), both are trained from the same random streams and the ensemble of lower held-out
-error is kept. That error is the mean square in normalised feature units, the same for both forms
-and, by their means, for Gaussian members.
+the action exactly, a member predicts the learned ones. Learned features that policies do not see (a
+robot's reward) are predicted as values in both target forms. Every terminal state adds a transition
+from itself to itself, so that members learn that it is absorbing
+(:mod:`components.data.absorbing_states`). Where the data choose the target form (thesis 5.1: value
+or change, whichever has the lower error on held-out trajectories), both are trained from the same
+random streams and the ensemble of lower held-out error is kept. That error is the mean square in
+normalised feature units, of the mean prediction in the case of Gaussian members, so that forms and
+kinds can be compared.
 
 Deterministic members minimise the mean squared error of standardised targets; Gaussian members
 (MOPO's code) ``mean[(mean - y)^2 / var + log var] + 0.01 sum(high) - 0.01 sum(low)``, with learned
 bounds of the log variances. Weight decay enters the loss as ``decay / 2 |W|^2``.
 
 Deviations: batches are drawn with replacement; outputs of Gaussian members are standardised, so
-that their uncertainty has one unit; initial weights are PyTorch's for all kinds; deterministic
-members too keep the state of their lowest held-out error.
+that their uncertainties have the same unit; initial weights are PyTorch's for all kinds;
+deterministic members too keep the state of their lowest held-out error.
 """
 
 import math
@@ -53,21 +54,21 @@ class _Transitions:
     def __init__(
         self, dataset: OfflineDataset, config: MLPEnsembleConfig, device: torch.device
     ) -> None:
-        rule = DynamicsSpecification.of_card(dataset.card)
-        self.names, self.observed, known = rule.learned, rule.observed, len(rule.known)
+        dynamics = DynamicsSpecification.of_card(dataset.card)
+        self.names, self.observed, known = dynamics.learned, dynamics.observed, len(dynamics.known)
         whole = with_absorbing_states(dataset.with_history(config.history), 1)
         self.history = whole.card.history
         split = split_episodes(dataset, config.holdout)
         self.trained = split.trained_transitions(whole)
         self.held_out = torch.arange(self.trained, whole.transitions, device=device)
         logged = split.trained_transitions(dataset)
-        seen = np.array(model_frames(dataset, rule)[: logged + split.train.stop])
+        seen = np.array(model_frames(dataset, dynamics)[: logged + split.train.stop])
         self.scaling = Normaliser.fit(seen)
         targets = self.scaling.apply(torch.from_numpy(seen))[:, known:]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)
         rows = dataset.frame_rows()[:logged]
         changes = Normaliser.fit((targets[rows + 1] - targets[rows]).numpy())
-        shown = torch.tensor(rule.shown)
+        shown = torch.tensor(dynamics.shown)
         moments = {
             "value": Normaliser(torch.zeros(len(shown)), torch.ones(len(shown))),
             "change": Normaliser(
@@ -76,10 +77,10 @@ class _Transitions:
         }
         self.moments = [moments[form] for form in config.forms]
         lanes = len(config.forms) * config.members
-        of_frames = slice(*rule.observed)
+        of_frames = slice(*dynamics.observed)
         scaling = Normaliser(self.scaling.mean[of_frames], self.scaling.scale[of_frames])
         self._data = LaneData([whole] * lanes, device, scaling=scaling)
-        table = self.scaling.apply(torch.from_numpy(np.array(model_frames(whole, rule))))
+        table = self.scaling.apply(torch.from_numpy(np.array(model_frames(whole, dynamics))))
         self._known, self._learned = (
             part.contiguous().to(device) for part in table.split([known, len(shown)], dim=1)
         )
@@ -188,21 +189,21 @@ def fit_mlp_ensemble(
     """Train all members at once.
 
     Args:
-        dataset: Its card must tell what is known and what is to be learned of its system.
+        dataset: A log whose card has a dynamics specification.
         config: Architecture and schedule; its class is the kind of ensemble.
         key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        monitor: Told the progress and the held-out losses.
+        monitor: Receives the progress and the held-out losses.
 
     Returns:
         The ensemble of the members' best held-out states, its held-out mean squared error in
-        normalised units averaged over members and targets, and its parts.
+        normalised units averaged over members and targets, and as metrics the error's parts.
     """
     data = _Transitions(dataset, config, device)
     forms, members = config.forms, config.members
     names = [f"{form}{k}" for form in forms for k in range(members)]
-    # A member of either form learns from the same numbers: the forms differ in nothing else.
+    # Members of both forms use the same random streams, so that the forms differ in nothing else.
     keys = [lane_key(key, k) for _ in forms for k in range(members)]
     losses = _Losses(data, config.decays)
     network = _Network(keys, data.inputs, len(data.names), config).to(device)
@@ -253,7 +254,7 @@ def fit_mlp_ensemble(
 def _batches(
     keys: list[int], trained: int, config: MLPEnsembleConfig, device: torch.device
 ) -> LaneStreams:
-    """Batches of training transitions, from every member's own resampling if it has one."""
+    """Batches of training transitions, drawn from each member's bootstrap sample if it has one."""
     resampled = [
         g.integers(trained, size=trained) if config.bootstrap else np.arange(trained)
         for g in spawn_generators(keys, "bootstrap")

@@ -1,20 +1,20 @@
-"""Recurrent transition ensemble for partly observed machines (thesis 3.3.2, 6.2).
+"""Recurrent transition ensemble for partly observed systems (thesis 3.3.2, 6.2).
 
 The known features of the next model frame follow from the action exactly, so the networks see the
 frame *after* the action: its known features, normalised, and previous values of what they predict.
-What they predict are the learned features: K members, each either one network per feature or a
-single one for all of them. A *group* is the K networks of equal task.
+They predict the learned features: K members, each either one network per feature or a single one
+for all of them. A *group* is the K networks that predict the same features.
 
 A network reads back those of its own features that a log's frames show, except the memoryless ones:
 on the Industrial Benchmark fatigue depends on its own previous value and consumption does not; of a
-robot all is read back but the reward. Predicted are normalised values in the next frame or, of what
-is read back, changes.
+robot everything is read back except the reward. Targets are the normalised values in the next frame
+or, for features that are read back, their changes.
 
 The hidden state is built up on recorded frames; after the first predicted step networks are fed
-their own predictions, unclipped (thesis 6.2, eq. 3.41). Where these are values, the reading is
+their own predictions, unclipped (thesis 6.2, eq. 3.41). If these are values, the reading is
 linear in the hidden state and feeding it back equals using another recurrent matrix,
-``W_h + w_self r``: both phases are plain scans over known inputs. Changes add up to values, which
-the cell has to carry along.
+``W_h + w_self r``: both phases are plain scans over known inputs. Changes have to be added up to
+values, which the cell carries from step to step.
 
 How the networks are trained is in :mod:`components.models.recurrent_ensemble.fit`.
 """
@@ -77,12 +77,12 @@ class RecurrentEnsembleConfig:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What the networks of each group read back, of their first D' features.
+    """Which of its first D' features the networks of each group read back.
 
     Attributes:
         reads: ``[groups, D']`` 1 where the previous value is an input, 0 where it is not.
         adds: ``[groups, D']`` 1 where its change is predicted, 0 where the next value is.
-        sums: Whether anything is added.
+        sums: Whether ``adds`` has any 1.
     """
 
     reads: Tensor
@@ -90,15 +90,15 @@ class Feedback:
     sums: bool
 
     @classmethod
-    def of(cls, config: RecurrentEnsembleConfig, rule: DynamicsSpecification) -> "Feedback":
-        """For the learned features of a machine, in their order."""
+    def of(cls, config: RecurrentEnsembleConfig, dynamics: DynamicsSpecification) -> "Feedback":
+        """The feedback for the learned features of a dynamics specification, in their order."""
         wanted = [
             float(shown and name not in config.memoryless)
-            for name, shown in zip(rule.learned, rule.shown, strict=True)
+            for name, shown in zip(dynamics.learned, dynamics.shown, strict=True)
         ]
         groups = 1 if config.networks == "joint" else len(wanted)
         reads = torch.tensor(wanted).view(groups, -1)
-        # Columns behind the last that any group reads would be zeros for all.
+        # D' ends with the last feature that any group reads; later columns would be zero.
         looped = int(reads.any(dim=0).nonzero().max()) + 1 if any(wanted) else 0
         reads = reads[:, :looped].contiguous()
         return cls.stored(reads, reads * float(config.target == "change"))
@@ -125,7 +125,7 @@ class RecurrentEnsemble:
         low: ``[D]`` smallest normalised learned features seen in training data.
         high: ``[D]`` largest.
         feedback: What is read back.
-        warm_up: G, recorded frames with which predictions begin.
+        warm_up: G, recorded frames that build up the hidden state before a prediction.
     """
 
     weight: Tensor

@@ -13,10 +13,11 @@ Deviations from the thesis (its learning rate 1.25e-5 cannot train these network
 Industrial Benchmark it names a delta target; the published checkpoints agree with what is done
 here): Adam with a one-cycle learning rate instead of a plateau schedule, which reaches the same
 error in a fraction of the updates; smaller batches; gradients limited in norm, network by network;
-and no weight decay. The checkpoints had 1e-3. Here it left the held-out error where it was and made
-the members agree where the log says nothing: with all steerings at 100, far outside mediocre-0.2,
-where a step costs 27, the worst of four members promised -1.4 with it and -1.9 without. The more
-they differ there, the less the lowest reward of all invites a policy.
+and no weight decay. The checkpoints had 1e-3. Here weight decay did not change the held-out error,
+but it made the members agree where there are no data: with all steerings at 100, far outside
+mediocre-0.2, where a step costs 27, the lowest reward that any of four members predicted was -1.4
+with it and -1.9 without. The more the members differ there, the lower is the least of their
+rewards, and the less it attracts a policy.
 """
 
 import math
@@ -46,7 +47,7 @@ from components.training.state import (
 
 __all__ = ["fit_recurrent_ensemble"]
 
-VALIDATED = 2000  # about so many held-out windows judge a state while training goes on
+VALIDATED = 2000  # approximate number of held-out windows in a validation during training
 
 
 class _EnsembleLearner:
@@ -142,7 +143,7 @@ class _EnsembleLearner:
         return total.view(self.lanes, -1) / len(starts)
 
     def keep_best(self, losses: Tensor) -> None:
-        """Remember every network's weights where its own held-out loss was lowest."""
+        """Keep every network's weights where its own held-out loss is the lowest so far."""
         better = losses < self.best_loss
         self.best_loss = torch.where(better, losses, self.best_loss)
         self.stale = torch.where(better, torch.zeros_like(self.stale), self.stale + 1)
@@ -180,12 +181,12 @@ def fit_recurrent_ensemble(
     """Train all networks of the ensemble at once, with early stopping on held-out trajectories.
 
     Args:
-        dataset: Its card must tell what is known and what is to be learned of its machine.
+        dataset: A log whose card has a dynamics specification.
         config: Architecture and schedule.
         key: Random stream, see :func:`components.core.random_streams.lane_key`.
         device: Where to train.
         checkpoint: File to resume from and save to.
-        monitor: Told the progress and the held-out losses.
+        monitor: Receives the progress and the held-out losses.
 
     Returns:
         The ensemble of best held-out states and the held-out normalised mean squared errors of its

@@ -1,7 +1,7 @@
 """Recurrent ensembles of L lanes as a transition model, all networks in one stack.
 
-Hidden states are kept as :func:`components.networks.recurrent.logistic_cells` has them: beside the
-matrix products, tanh was most of what a step cost.
+Hidden states have the form of :func:`components.networks.recurrent.logistic_cells`: apart from the
+matrix products, tanh took most of the time of a step.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class RecurrentTransition:
         self.low = torch.stack([e.low for e in ensembles]).to(device)
         self.high = torch.stack([e.high for e in ensembles]).to(device)
         self.target_scale = torch.ones_like(self.low)
-        # [L * M, H, ...]; columns of what a group does not read back shall not be read.
+        # [L * M, H, ...]; the columns of values that a group does not read back are set to zero.
         self._weight = torch.cat([e.weight for e in ensembles]).to(device)
         self._readout = torch.cat([e.readout for e in ensembles]).to(device)
         # Groups, members, outputs: the axes of what all networks of a lane read out.
@@ -47,7 +47,7 @@ class RecurrentTransition:
         self._adds = every.view(1, -1, 1, 1) if first.feedback.sums else None
 
     def _own(self, previous: Tensor) -> Tensor:
-        """Previous values for every network's loop, ``[..., groups, S, D', B]``, of all targets.
+        """Previous values that every group's networks read, ``[..., groups, S, D', B]``.
 
         Args:
             previous: ``[..., D, S, B]`` normalised.
@@ -97,10 +97,10 @@ class RecurrentTransition:
         return self._read(torch.bmm(self._logistic, seen).sigmoid(), own)
 
     def _in_place(self, state: Tensor, known: Tensor, own: Tensor) -> tuple[Prediction, Tensor]:
-        """The same without gradients; from the first step on, all that is read has one buffer.
+        """The same without gradients, with all inputs of the cells in one buffer.
 
-        The state is that buffer ``[L * M, H + known + D' + 1, B]``: logistic state, known features,
-        own values and the constant one, each step's over those of the step before.
+        From the first step on the state is that buffer ``[L * M, H + known + D' + 1, B]``: logistic
+        state, known features, own values and the constant one. Each step overwrites it.
         """
         lanes, _, batch, features = known.shape
         cells, width, columns = self._logistic.shape

@@ -1,13 +1,13 @@
 """Windows of model frames, from which the recurrent transition ensemble learns.
 
-A window holds G + F steps and never crosses trajectories. One that ends in a true terminal state
-goes on in it (:mod:`components.data.absorbing_states`), so that falling is learned from states and
-rewards, as the thesis has it; a trajectory too short for a single window is left out.
+A window holds G + F steps and never crosses trajectories. A trajectory that ends in a terminal
+state is continued in it (:mod:`components.data.absorbing_states`), so that the networks learn falls
+from states and rewards, as in the thesis; a trajectory too short for a single window is left out.
 
-Where a dataset's observations are histories, the first of a trajectory are padded with its first
-frame, and virtual trajectories that start in them begin the ensemble on what was never recorded.
-Training windows therefore also begin up to G steps before a trajectory, in its first frame
-repeated; the held-out windows, on which fits are compared, are recorded throughout.
+Where a dataset's observations are histories, the first ones of a trajectory are padded with its
+first frame, so virtual trajectories that start there initialise the ensemble with frames that were
+never recorded. Training windows therefore also begin up to G steps before a trajectory, in its
+first frame repeated; the held-out windows, on which fits are compared, hold recorded frames alone.
 """
 
 import numpy as np
@@ -29,13 +29,13 @@ class TrainingWindows:
     """Windows of normalised model frames, gathered on the device for every network.
 
     Args:
-        dataset: Its card must tell what is known and what is to be learned of its system.
+        dataset: A log whose card has a dynamics specification.
         config: Members, groups, lengths of a window and share held out.
         device: Where windows are gathered.
 
     Attributes:
         names: Learned features, D of them.
-        known: Known features of a model frame, so many.
+        known: Number of known features of a model frame.
         groups: Names of the groups; a group's networks predict the same features.
         networks: M, networks of all groups.
         outputs: O, features that a network predicts.
@@ -44,7 +44,7 @@ class TrainingWindows:
         low: Smallest normalised targets of the training trajectories, ``[D]``.
         high: Largest.
         train: Rows in which windows of the training trajectories begin.
-        held_out: Likewise, of the held-out ones.
+        held_out: Rows in which windows of the held-out trajectories begin.
 
     Raises:
         ValueError: If all trajectories on either side of the split are too short for a window.
@@ -53,36 +53,36 @@ class TrainingWindows:
     def __init__(
         self, dataset: OfflineDataset, config: RecurrentEnsembleConfig, device: torch.device
     ) -> None:
-        rule = DynamicsSpecification.of_card(dataset.card)
-        self.names, self.known = rule.learned, len(rule.known)
-        self.feedback = Feedback.of(config, rule).to(device)
+        dynamics = DynamicsSpecification.of_card(dataset.card)
+        self.names, self.known = dynamics.learned, len(dynamics.known)
+        self.feedback = Feedback.of(config, dynamics).to(device)
         groups = len(self.feedback.reads)
-        self.groups = rule.learned if groups == len(rule.learned) else ("joint",)
-        self.outputs, self.networks = len(rule.learned) // groups, groups * config.members
+        self.groups = dynamics.learned if groups == len(dynamics.learned) else ("joint",)
+        self.outputs, self.networks = len(dynamics.learned) // groups, groups * config.members
         split = split_episodes(dataset, config.holdout)
         logged = split.trained_transitions(dataset)
-        seen = np.array(model_frames(dataset, rule)[: logged + split.train.stop])
+        seen = np.array(model_frames(dataset, dynamics)[: logged + split.train.stop])
         self.normaliser = Normaliser.fit(seen)
         targets = self.normaliser.apply(torch.from_numpy(seen))[:, self.known :]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)
         rows = dataset.frame_rows()[:logged]
         changes = Normaliser.fit((targets[rows + 1] - targets[rows]).numpy()).to(device)
         self._unit, self._offset = self._units(changes, config.hidden)
-        # A window's first predicted step is a logged one: all but the last step may be absorbed.
+        # The first predicted step of a window is a logged one; all after it may be absorbing.
         whole = with_absorbing_states(dataset, config.horizon - 1)
         padding = config.warm_up if dataset.card.history > 1 else 0
         self.train, self.held_out = (
             torch.from_numpy(starts).to(device)
             for starts in _starts(whole, split, config.warm_up + config.horizon, padding)
         )
-        frames = model_frames(whole, rule)[_padded(whole, padding)]
+        frames = model_frames(whole, dynamics)[_padded(whole, padding)]
         scaled = self.normaliser.apply(torch.from_numpy(frames))
         self._table = scaled.T.contiguous().to(device)  # [features, rows]
         self._horizon, count = config.horizon, self._table.shape[1]
         steps = torch.arange(config.warm_up + config.horizon, device=device)
         self._steps = steps.view(-1, 1, 1, 1)
         self._known = torch.arange(self.known, device=device).view(1, 1, -1, 1) * count
-        feature = self.known + torch.arange(len(rule.learned), device=device)
+        feature = self.known + torch.arange(len(dynamics.learned), device=device)
         target = self._of_networks(feature) * count
         self._own = target[None, :, : self.reads.shape[1], None]
         self._reads = self.reads[None, :, :, None]
@@ -98,13 +98,13 @@ class TrainingWindows:
         return unit[:, :, None], torch.nn.functional.pad(mean[:, :, None], (hidden, 0))
 
     def _of_networks(self, values: Tensor) -> Tensor:
-        """Something of each learned feature ``[D]``, by network: ``[M, O]``."""
+        """Values of the learned features ``[D]``, arranged by network: ``[M, O]``."""
         by_group = values.view(len(self.groups), -1)
         return by_group.repeat_interleave(self.networks // len(self.groups), dim=0)
 
     @property
     def reads(self) -> Tensor:
-        """Whether a network reads an own value back, ``[M, D']``."""
+        """Whether a network reads each of its own values back, ``[M, D']``."""
         reads = self.feedback.reads.bool()
         return reads.repeat_interleave(self.networks // len(reads), dim=0)
 
@@ -123,7 +123,7 @@ class TrainingWindows:
 
 
 def _padded(whole: OfflineDataset, padding: int) -> Rows:
-    """Frame rows, every trajectory's first one ``padding`` times more in front of it."""
+    """Frame rows, with every trajectory's first one repeated ``padding`` times before it."""
     first = whole.episode_starts[:-1] + np.arange(whole.episodes)
     again = np.ones(len(whole.frames), np.int64)
     again[first] += padding

@@ -1,4 +1,4 @@
-"""What a fitted ensemble must do so that policies can be unrolled in it."""
+"""The interface of fitted ensembles in which policies are unrolled."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -12,7 +12,7 @@ __all__ = ["Prediction", "TransitionModel"]
 
 @dataclass(frozen=True)
 class Prediction:
-    """What all members say about the next frame.
+    """Predictions of all members for the next model frame.
 
     Attributes:
         values: ``[L, D, K, B]`` normalised targets, not clipped.
@@ -29,7 +29,7 @@ class TransitionModel(Protocol):
 
     Attributes:
         members: K.
-        memory: G, model frames up to the start to begin with.
+        memory: G, model frames up to the start that :meth:`begin` reads.
         frames: Scaling of a model frame's features, ``[L, M]``.
         low: Smallest normalised targets of the training data, ``[L, D]``.
         high: Largest.

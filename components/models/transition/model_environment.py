@@ -2,9 +2,9 @@
 
 Every lane has its own ensemble of K members, its own policy and B trajectories. At each step the
 policy acts, the known features of the model frame follow exactly (differentiably), every member
-predicts the learned ones, and one prediction becomes the next frame, clipped to the range of the
-training data unless told otherwise; policies see of it what the log's frames hold, see
-:mod:`components.data.dynamics`. Which one is the propagation:
+predicts the learned ones, and one prediction becomes the next frame, by default clipped to the
+range of the training data. Policies see those of its features that the log's frames hold, see
+:mod:`components.data.dynamics`. The propagation says which prediction that is:
 
 - ``"minimum"``: per trajectory and step the member that predicts the lowest reward (thesis 6.4 and
   5.17);
@@ -42,10 +42,10 @@ class RolloutStep:
     """One step of N virtual trajectories a lane; N is B, or K * B (member-major) in isolation.
 
     Attributes:
-        observations: ``[L, N, O]`` what the policy saw.
+        observations: ``[L, N, O]`` before the actions, scaled.
         actions: ``[L, N, A]``.
         rewards: ``[L, N]``.
-        frames: ``[L, N, F]`` what policies see of the next frame, scaled as they see it.
+        frames: ``[L, N, F]`` features of the next frame that policies see, in their scaling.
         prediction: Of all members, before the choice and the clipping.
         drawn: ``[L, D, S, B]`` normalised targets of the next frame, chosen or sampled, before the
             clipping; S is 1, or K in isolation.
@@ -64,7 +64,7 @@ class ModelEnvironment:
 
     Args:
         model: The lanes' ensembles.
-        rule: How known features follow from actions, and what the reward is.
+        dynamics: How known features follow from actions, and what the reward is.
         scaling: Scaling of the frames that policies see, ``[L, F]``.
         device: Where to compute.
         prediction_range: ``data`` clips predictions to the range of the training data, ``free``
@@ -74,7 +74,7 @@ class ModelEnvironment:
     def __init__(
         self,
         model: TransitionModel,
-        rule: DynamicsSpecification,
+        dynamics: DynamicsSpecification,
         scaling: Normaliser,
         device: torch.device,
         prediction_range: PredictionRange = "data",
@@ -82,15 +82,16 @@ class ModelEnvironment:
         self.model = model
         frames = model.frames
         self._scaling = scaling.to(device)
-        self._rule, self._observed = rule, slice(*rule.observed)
+        self._dynamics, self._observed = dynamics, slice(*dynamics.observed)
         self._keep, self._scale = (
             torch.tensor(numbers, device=device)[:, None, None]
-            for numbers in (rule.keep, rule.scale)
+            for numbers in (dynamics.keep, dynamics.scale)
         )
-        reward = torch.tensor(rule.reward, device=device)
-        count = len(rule.known)
+        reward = torch.tensor(dynamics.reward, device=device)
+        count = len(dynamics.known)
         # Features that no action moves, those that one does, and the learned ones.
-        self._parts = [count - len(rule.scale), len(rule.scale), len(rule.learned)]
+        acted = len(dynamics.scale)
+        self._parts = [count - acted, acted, len(dynamics.learned)]
         self._known_mean, self._known_scale = (
             _wide(moment[:, :count]) for moment in (frames.mean, frames.scale)
         )
@@ -115,22 +116,22 @@ class ModelEnvironment:
     ) -> Iterator[RolloutStep]:
         """Let a policy act for ``horizon`` steps, one after the other.
 
-        Everything is differentiable with respect to whatever ``act`` depends on. Where gradients
-        are switched off, a trajectory's frames are written one before the other into one table,
-        and its histories are windows of that.
+        Everything is differentiable with respect to the parameters of ``act``. Where gradients are
+        switched off, the frames of a trajectory are written into one table, newest first, and its
+        histories are windows of that table.
 
         Args:
             observations: ``[L, B, H * F]`` what policies see at the start, scaled, newest frame
                 first; see :meth:`components.data.batches.LaneData.start_states`.
-            past: ``[L, B, G, M]`` model frames up to there, newest first, not scaled; the newest
-                is enough beside a state.
+            past: ``[L, B, G, M]`` model frames up to there, newest first, not scaled; if ``state``
+                is given, the newest one is enough.
             act: Maps observations ``[L, N, H * F]`` (scaled, newest first) to actions
                 ``[L, N, A]``; called once a step.
             horizon: Steps T.
-            propagation: Which member is followed; member numbers are ``[T, L, B]``.
+            propagation: Which prediction becomes the next frame; member numbers are ``[T, L, B]``.
             noise: Standard normal ``[T, L, D, B]``: draw the next frame from the chosen member's
                 Gaussian instead of taking its mean.
-            state: What the model's ``begin`` returned for this past, if that is known.
+            state: What the model's ``begin`` returned for this past; None: it is computed.
 
         Yields:
             The T steps.
@@ -152,7 +153,7 @@ class ModelEnvironment:
             action = act(seen)
             by_feature = action.transpose(1, 2).contiguous().view(*moved.shape)
             moved = torch.addcmul(by_feature * self._scale, moved, self._keep)
-            moved = moved.clamp(self._rule.low, self._rule.high)
+            moved = moved.clamp(self._dynamics.low, self._dynamics.high)
             known = torch.cat([constant, moved], dim=1)
             scaled = (known - self._known_mean) / self._known_scale
             prediction, state = self.model.predict(

@@ -1,4 +1,4 @@
-"""Experts as they ship: a deterministic policy in two small files, and a card of its returns.
+"""Shipped experts: a deterministic policy in two small files, and a card of its returns.
 
 A folder holds `policy.json` and `weights.safetensors`, which are an ordinary policy artifact, and
 `expert.json`, the card. `python -m flows.train_experts` makes such folders; those that datasets are
@@ -35,20 +35,20 @@ _REMEDY: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class ExpertCard:
-    """Where an expert comes from and how good it is.
+    """Origin and returns of an expert.
 
     Attributes:
         robot: Its short name, e.g. "swimmer".
         environment: Gymnasium id of the system it was trained and evaluated on.
         physics: Variant of the system, e.g. "v3".
         simulator: Name and version of the physics engine.
-        seed: The one that was chosen.
-        candidates: Of every seed, as text, the highest mean return at an evaluation in training.
+        seed: Seed of the chosen policy.
+        candidates: By seed, as text, the highest mean return at an evaluation during training.
         step: Environment steps after which the chosen policy was kept.
         training: Settings of the training, by name.
         episodes: Whole episodes of its evaluation after training, without noise.
-        return_mean: Mean of their undiscounted returns.
-        return_std: Their standard deviation.
+        return_mean: Mean of the undiscounted returns of these episodes.
+        return_std: Standard deviation of these returns.
         return_steps: Steps of the discounted return.
         discount: Per step, of the discounted return.
         discounted_return_mean: Mean of their discounted returns over the first steps.
@@ -80,8 +80,8 @@ _CARDS: Final = CardFormat(kind=ExpertCard, what="expert", remedy=_REMEDY)
 def act_in_double(policy: Policy, frames: Array) -> Array:
     """Actions ``[N, A]`` of a policy of one lane for frames ``[N, F]``.
 
-    In double precision: the order in which a processor adds up depends on the size of the batch,
-    and what is logged or reported must not depend on it.
+    In double precision: the order of additions in a matrix product depends on the size of the
+    batch, and logs and reports must not depend on it.
     """
     scaling = policy.frames
     x = (frames - scaling.mean.double().numpy()) / scaling.scale.double().numpy()

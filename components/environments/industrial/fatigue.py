@@ -1,0 +1,129 @@
+"""Fatigue of N machines: effective velocity and gain, their hidden state, and its saturation.
+
+Equations 3.17-3.27 for all copies, in buffers allocated once; the deviations from the thesis are
+named in `benchmark.py`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from components.environments.industrial.noise import NoiseSource
+
+__all__ = ["Fatigue"]
+
+Array = NDArray[np.float64]
+
+_CAP = 5.0
+
+
+class Fatigue:
+    """The fatigue of N copies with one setpoint.
+
+    Args:
+        copies: N.
+        setpoint: load demanded from the machine, 0 ... 100.
+
+    Attributes:
+        hidden: `[2, N]` mu of equations 3.26 and 3.27, velocity first.
+        effective: `[2, N]` effective velocity and gain (equations 3.20-3.23).
+        basic: `[N]` basic fatigue, before it is amplified.
+    """
+
+    def __init__(self, copies: int, setpoint: float) -> None:
+        self.hidden, self.effective = np.zeros((2, copies)), np.zeros((2, copies))
+        self.basic = np.zeros(copies)
+        self._effective_constants(copies, setpoint)
+        # whole arrays of limits: NumPy is twice as fast on them as on broadcast numbers
+        self._ones, self._caps = np.ones((2, copies)), np.full((2, copies), _CAP)
+        self._pair, self._grown, self._decayed = np.empty((3, 2, copies))
+        self._pair_mask = np.empty((2, copies), dtype=np.bool_)
+        self._fatigue, self._scratch = np.empty((2, copies))
+        self._mask = np.empty(copies, dtype=np.bool_)
+
+    def _effective_constants(self, copies: int, setpoint: float) -> None:
+        """Coefficients of effective velocity and gain (equations 3.20-3.23) at this setpoint.
+
+        Both have the form numerator / (steering + shift) + offset.
+        """
+        p = setpoint
+
+        def gain(g: float) -> float:
+            return 1.0 / (g + p + 1.0)
+
+        def velocity(v: float, g: float) -> float:
+            return (g + p + 2.0) / (v - p + 101.0)
+
+        gain_scale = 1.0 / (gain(0.0) - gain(100.0))
+        span = velocity(100.0, 0.0) - velocity(0.0, 100.0)
+        self._velocity_scale = -1.0 / span
+        offsets = (1.0 + velocity(0.0, 100.0) / span, -gain(100.0) * gain_scale)
+        self._effective_offsets = np.array(offsets)[:, None]
+        self._effective_shifts = np.array((101.0 - p, p + 1.0))[:, None]
+        self._numerator = np.full((2, copies), gain_scale)  # the gain's row never changes
+
+    def step(self, steerings: Array, source: NoiseSource) -> Array:
+        """Move the hidden state by one step.
+
+        Args:
+            steerings: `[3, N]` velocity, gain and shift after the action.
+            source: draws of this step.
+
+        Returns:
+            `[N]` the fatigue, a buffer that the next step overwrites.
+        """
+        velocity, gain = steerings[0], steerings[1]
+        effective, hidden = self.effective, self.hidden
+        scratch = self._scratch
+
+        denominator, numerator = self._pair, self._numerator
+        np.add(steerings[:2], self._effective_shifts, out=denominator)
+        np.add(denominator[1], 1.0, out=numerator[0])
+        np.multiply(numerator[0], self._velocity_scale, out=numerator[0])
+        np.divide(numerator, denominator, out=effective)
+        effective += self._effective_offsets
+
+        base, uniform, binary = source.fatigue(effective)
+        noise, mask = self._pair, self._pair_mask
+        np.subtract(self._ones, base, out=noise)
+        noise *= uniform
+        noise *= binary
+        noise *= effective
+        noise += base
+
+        grown, decayed = self._grown, self._decayed
+        np.greater_equal(hidden, 1.2, out=mask)
+        np.multiply(hidden, 1.1, out=grown)
+        np.minimum(grown, self._caps, out=grown)
+        np.multiply(noise, 1.0 / 3.0, out=decayed)
+        hidden *= 0.9
+        hidden += decayed
+        np.putmask(hidden, mask, grown)
+        np.less_equal(effective, 0.05, out=mask)
+        np.putmask(hidden, mask, effective)
+
+        amplification = self._fatigue
+        np.maximum(noise[0], noise[1], out=amplification)
+        np.maximum(hidden[0], hidden[1], out=scratch)
+        np.greater_equal(scratch, _CAP, out=self._mask)
+        normals = source.saturation(self._mask)
+        if np.count_nonzero(self._mask):
+            saturated = 1.0 / (1.0 + np.exp(-2.4 - 0.4 * normals))
+            np.putmask(amplification, self._mask, saturated)
+
+        basic = self.basic
+        np.add(velocity, 20.0, out=basic)
+        np.divide(6000.0, basic, out=basic)
+        np.multiply(gain, gain, out=scratch)
+        scratch *= 0.01
+        basic -= scratch
+        np.maximum(basic, 0.0, out=basic)
+        amplification *= 2.0 / 3.0
+        amplification += 1.0 / 3.0
+        amplification *= basic
+        return amplification
+
+    def replace(self, chosen: NDArray[np.intp], other: "Fatigue") -> None:
+        """Give the copies `chosen [M]` the state of `other`, which has M copies."""
+        self.hidden[:, chosen] = other.hidden
+        self.effective[:, chosen] = other.effective
+        self.basic[chosen] = other.basic
