@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from components.core.random_streams import lane_key
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
@@ -91,7 +91,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     print(report(options.device))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from benchmarks.scalar_industrial_benchmark import (
     GeneratorDraws,
     ScalarIndustrialBenchmark,
@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="budget of each measurement")
     options = parser.parse_args()
     print(report(options.copies, options.seconds))
-    print(f"\n{machine()}; one core used, NumPy {np.__version__}")
+    print(f"\n{computer()}; one core used, NumPy {np.__version__}")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from benchmarks.recurrent import FATIGUE_ALONE
 from components.algorithms import ALGORITHMS
 from components.algorithms.parts.learner import LearnerInputs
@@ -173,7 +173,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

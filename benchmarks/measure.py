@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-__all__ = ["machine", "markdown", "median_seconds", "processor"]
+__all__ = ["computer", "markdown", "median_seconds", "processor"]
 
 
 def median_seconds(
@@ -71,7 +71,7 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def machine(device: str = "cpu") -> str:
+def computer(device: str = "cpu") -> str:
     """One line: processor, cores, threads, versions, date; the GPU if one was used."""
     used = f", {torch.cuda.get_device_name(device)}" if device.startswith("cuda") else ""
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()

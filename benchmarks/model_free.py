@@ -32,7 +32,7 @@ import numpy as np
 import torch
 
 from benchmarks.lanes import program
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from benchmarks.peer_d3rlpy import COUNTERPARTS
 from components.algorithms import ALGORITHMS
 from components.data.batches import LaneData
@@ -282,7 +282,7 @@ def main() -> None:
         print(error, file=sys.stderr)
         raise SystemExit(2) from None
     torch.set_num_threads(options.threads)  # for the line about the machine
-    print(f"\n{machine()}")
+    print(f"\n{computer()}")
 
 
 if __name__ == "__main__":

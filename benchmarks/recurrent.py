@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.models.recurrent_ensemble.ensemble import (
     Feedback,
     RecurrentEnsembleConfig,
@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.lanes import UNTRAINED, program
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config
 from components.data.batches import LaneData
@@ -172,7 +172,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
 
 __all__ = [
     "Metrics",
-    "Report",
+    "ReportWriter",
     "command_words",
     "main",
     "make_executor",
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 Loaded = TypeVar("Loaded")
-Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
+ReportWriter = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
 def main(
@@ -140,7 +140,7 @@ def run_sweep(
     settings: Settings,
     name: str,
     plan: Plan,
-    report: Report,
+    report: ReportWriter,
     params: Mapping[str, str] | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.

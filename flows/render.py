@@ -17,7 +17,7 @@ from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
 from components.policies.policy import Policy
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, Strict, build_config
+from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 
@@ -43,7 +43,7 @@ _FORMER_WORDS = {"lambda": "proximity"}
 """Words of older command lines, such as those in stored reports."""
 
 
-class RenderSettings(Strict):
+class RenderSettings(StrictModel):
     """What to film and where to write it."""
 
     run: str = Field(min_length=1)

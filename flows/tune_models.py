@@ -17,10 +17,10 @@ from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import check_model, data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
 from flows.tuning.mlflow_trials import MlflowTrials
-from flows.tuning.results import lowest_losses, verdict, winner
+from flows.tuning.results import best_losses, comparison, tuned_model
 from flows.tuning.search import search
 from flows.tuning.study import Study, ended_trials, open_journal
 from flows.tuning.trials import NullTrials, Trials
@@ -74,9 +74,9 @@ def _journal(settings: Settings) -> Path:
 
 
 def _run(settings: Settings) -> int:
-    found = search_subjects(settings)
-    for subject in found:
-        check_model(settings, subject.dataset, subject.start)
+    found = study_specifications(settings)
+    for specification in found:
+        check_model(settings, specification.dataset, specification.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:
@@ -87,7 +87,7 @@ def _run(settings: Settings) -> int:
     if code:
         return code
     console = Display()
-    name = settings.sweep or f"tune-{digest([subject.name for subject in found], 4)}"
+    name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
     command = shlex.join(["python", *command_words()])
     console.note(f"Search {name} in {settings.store}/; journal {_journal(settings)}")
     tracker = _make_trials(settings)
@@ -106,13 +106,13 @@ def _run(settings: Settings) -> int:
     studies: list[Study] = []
     try:
         journal = open_journal(_journal(settings))
-        studies = [Study(subject, journal) for subject in found]
+        studies = [Study(specification, journal) for specification in found]
 
         def finished(study: Study) -> None:
-            tuned = winner(study, store)
+            tuned = tuned_model(study, store)
             if tuned is not None:
                 files.append(write_tuned(tuned_folder(settings), tuned))
-                verdicts[study.name] = f"{verdict(tuned)}; {files[-1]}"
+                verdicts[study.name] = f"{comparison(tuned)}; {files[-1]}"
 
         outcome = search(
             studies,
@@ -126,7 +126,7 @@ def _run(settings: Settings) -> int:
         status = outcome.status
     finally:
         with suppress(KeyboardInterrupt):
-            tracker.close(status, files, lowest_losses(studies))
+            tracker.close(status, files, best_losses(studies))
     for line in verdicts.values():
         print(line)
     _explain(console, command, outcome.interrupted, outcome.failed, outcome.unrecorded)

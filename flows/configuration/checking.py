@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic_core import ErrorDetails
 from typing_extensions import get_type_hints, is_typeddict
 
-__all__ = ["SettingsError", "Strict", "build_config", "first_line", "hint"]
+__all__ = ["SettingsError", "StrictModel", "build_config", "first_line", "hint"]
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _NO_GROUP = ("model_type", "dict_type", "dataclass_type")
@@ -24,7 +24,7 @@ class SettingsError(ValueError):
     """Something on the command line or in conf/ is wrong; the message is one sentence."""
 
 
-class Strict(BaseModel):
+class StrictModel(BaseModel):
     """A group of settings: it knows its keys, takes no others and does not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -53,9 +53,9 @@ def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> A
 
 
 @cache
-def _holder(kind: Any) -> type[Strict]:
+def _holder(kind: Any) -> type[StrictModel]:
     """A model around a schema: plain dataclasses take its rules over and stay what they are."""
-    return create_model("Holder", __base__=Strict, held=(kind, ...))
+    return create_model("Holder", __base__=StrictModel, held=(kind, ...))
 
 
 def _keys(kind: Any) -> dict[str, Any]:

@@ -10,15 +10,15 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from flows.configuration.checking import SettingsError, Strict, build_config, hint
+from flows.configuration.checking import SettingsError, StrictModel, build_config, hint
 from flows.configuration.defaults import component_defaults
 from flows.configuration.files import CONF, names_in, read_file, read_folder
-from flows.configuration.words import modernise
+from flows.configuration.overrides import rename_old_keys
 
-__all__ = ["DEVIATIONS", "base_layers", "joined", "special_settings"]
+__all__ = ["DEVIATIONS", "base_layers", "merged", "special_settings"]
 
 
-class Deviations(Strict):
+class Deviations(StrictModel):
     """What a domain or a dataset wants otherwise than the rest.
 
     Attributes:
@@ -54,13 +54,13 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
             + hint(profile, valid)
         )
     groups = {group: read_folder(CONF / group) for group in ("dataset", "domain")}
-    chosen = joined(
+    chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )
-    return OmegaConf.create(component_defaults() | groups), modernise(chosen)
+    return OmegaConf.create(component_defaults() | groups), rename_old_keys(chosen)
 
 
-def joined(layers: Sequence[DictConfig]) -> DictConfig:
+def merged(layers: Sequence[DictConfig]) -> DictConfig:
     """One configuration of several; later layers win."""
     return OmegaConf.merge(*layers)  # type: ignore[return-value]
 
@@ -79,7 +79,7 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
         SettingsError: A dataset names a domain that has no file, or a domain or a dataset says
             something about algorithms and models that is no group of keys.
     """
-    whole: Any = OmegaConf.to_container(joined(layers), resolve=True)
+    whole: Any = OmegaConf.to_container(merged(layers), resolve=True)
     _check_deviations(whole)
     domains = layers[0].domain
     found = {}

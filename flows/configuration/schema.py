@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from components.data.sources.source import DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
-from flows.configuration.checking import SettingsError, Strict, build_config
+from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.composition import DEVIATIONS
 from flows.configuration.defaults import ALGORITHM_CONFIGS
 from flows.configuration.files import CONF
@@ -21,9 +21,9 @@ from flows.configuration.sections import (
     ExpertsSettings,
     ModelConfigs,
     ModelsSettings,
-    OwnSettings,
     RunnerSettings,
     Seeds,
+    SpecialSettings,
     TrainingSettings,
     TuningSettings,
     selected,
@@ -69,7 +69,7 @@ def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
     return source
 
 
-class Settings(Strict):
+class Settings(StrictModel):
     """A complete, checked configuration.
 
     Attributes:
@@ -78,7 +78,7 @@ class Settings(Strict):
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
         special: Of datasets that want something otherwise, what holds on them.
-        model_words: By model, the first word of the command line that changes a setting of it.
+        model_overrides: By model, the first word of the command line that changes a setting of it.
     """
 
     profile_name: str
@@ -101,8 +101,8 @@ class Settings(Strict):
     show_settings: bool
     algorithm: AlgorithmConfigs
     model: ModelConfigs
-    special: dict[str, OwnSettings]
-    model_words: dict[str, str]
+    special: dict[str, SpecialSettings]
+    model_overrides: dict[str, str]
 
     @field_validator("dataset")
     @classmethod
@@ -119,7 +119,7 @@ class Settings(Strict):
     @field_validator("special", mode="before")
     @classmethod
     def _own_settings(cls, special: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: build_config(OwnSettings, name, own) for name, own in special.items()}
+        return {name: build_config(SpecialSettings, name, own) for name, own in special.items()}
 
     @model_validator(mode="after")
     def _check_penalties(self) -> "Settings":

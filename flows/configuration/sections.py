@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
-from flows.configuration.checking import SettingsError, Strict, hint
+from flows.configuration.checking import SettingsError, StrictModel, hint
 from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
 
 __all__ = [
@@ -19,9 +19,9 @@ __all__ = [
     "ExpertsSettings",
     "ModelConfigs",
     "ModelsSettings",
-    "OwnSettings",
     "RunnerSettings",
     "Seeds",
+    "SpecialSettings",
     "TrainingSettings",
     "TuningSettings",
     "selected",
@@ -80,7 +80,7 @@ _ModelsOfSome = TypedDict(  # type: ignore[misc]
 )
 
 
-class OwnSettings(Strict):
+class SpecialSettings(StrictModel):
     """What holds on a dataset that wants something otherwise than the rest.
 
     Attributes:
@@ -94,7 +94,7 @@ class OwnSettings(Strict):
     model_for: _ModelsOfSome
 
 
-class DataSettings(Strict):
+class DataSettings(StrictModel):
     """Size and seed of the generated datasets."""
 
     seed: int = Field(ge=0)
@@ -103,19 +103,19 @@ class DataSettings(Strict):
     transitions: int = Field(ge=1)
 
 
-class TrainingSettings(Strict):
+class TrainingSettings(StrictModel):
     """What training keeps."""
 
     snapshots: int = Field(ge=1)
 
 
-class AggregationSettings(Strict):
+class AggregationSettings(StrictModel):
     """Which policies enter the table."""
 
     pool_fraction: float = Field(gt=0, le=1)
 
 
-class ExpertsSettings(Strict):
+class ExpertsSettings(StrictModel):
     """Which experts are trained, and how."""
 
     robots: Annotated[tuple[str, ...], selection("robot", ROBOTS)]
@@ -126,7 +126,7 @@ class ExpertsSettings(Strict):
     training: ExpertConfig
 
 
-class RunnerSettings(Strict):
+class RunnerSettings(StrictModel):
     """How to run; changes no result."""
 
     executor: Literal["ray", "serial"]
@@ -138,7 +138,7 @@ class RunnerSettings(Strict):
     stack: Literal["pair", "algorithm"]
 
 
-class ModelsSettings(Strict):
+class ModelsSettings(StrictModel):
     """Which models policies are trained with."""
 
     source: Literal["default", "tuned"]
@@ -146,7 +146,7 @@ class ModelsSettings(Strict):
     folder: Path
 
 
-class TuningSettings(Strict):
+class TuningSettings(StrictModel):
     """What a hyperparameter search searches, and how long."""
 
     models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]

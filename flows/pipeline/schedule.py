@@ -13,7 +13,7 @@ from typing import Any
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["CostModel", "Group", "form_groups", "play"]
+__all__ = ["CostModel", "Group", "form_groups", "simulate_schedule"]
 
 
 @dataclass(eq=False)
@@ -143,7 +143,7 @@ class CostModel:
         return median(known[-50:]) if known else 1.0
 
 
-def play(
+def simulate_schedule(
     groups: Iterable[Group],
     seconds: Mapping[str, float],
     slots: int,

@@ -23,12 +23,12 @@ from typing import Any, cast
 
 from components.core.files import write_json
 
-__all__ = ["FAILURE_FILE", "GivenUp", "Job", "TaskContext", "TaskFunction", "load_task"]
+__all__ = ["FAILURE_FILE", "Job", "StopRequested", "TaskContext", "TaskFunction", "load_task"]
 
 FAILURE_FILE = "failure.txt"
 
 
-class GivenUp(Exception):  # noqa: N818 - a stop on request, no error
+class StopRequested(Exception):  # noqa: N818 - a stop on request, no error
     """Ends a task call that the driver has asked to stop; its nodes neither finish nor fail."""
 
 
@@ -105,14 +105,14 @@ class TaskContext:
             loss: Held-out loss.
 
         Raises:
-            GivenUp: The stop file is there.
+            StopRequested: The stop file is there.
         """
         self._fraction = min(1.0, max(0.0, float(fraction)))
         self._losses.append((self._fraction, float(loss)))
         self._write()
         self.watch()
         if self.stop_file is not None and self.stop_file.exists():
-            raise GivenUp(f"given up at {self._fraction:.0%} of the budget")
+            raise StopRequested(f"given up at {self._fraction:.0%} of the budget")
 
     def _write(self) -> None:
         if self.progress_file is not None:

@@ -22,9 +22,9 @@ __all__ = [
     "benchmark_plan",
     "check_model",
     "data_plan",
+    "jsonable",
     "model_choice",
     "model_node",
-    "plain",
     "sweep_name",
     "variants",
 ]
@@ -39,11 +39,11 @@ COMPONENTS = {
 """The components and the versions of their code; raise one when its results change."""
 
 
-def plain(value: Any) -> Any:
+def jsonable(value: Any) -> Any:
     """JSON-able copy: tuples become lists."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
+        return {str(k): jsonable(v) for k, v in value.items()}
+    return [jsonable(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def _data_node(settings: Settings, name: str) -> Node:
         name=f"data/{name}",
         task="flows.tasks.data_generation:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": plain(source.identity), "seed": 0 if stored else settings.data.seed}
+        config={"spec": jsonable(source.identity), "seed": 0 if stored else settings.data.seed}
         | ({"ingredients": made_with} if made_with else {}),
         folders={"log": str(source.folder)} if stored else {},
         tags={"dataset": name},
@@ -128,7 +128,7 @@ def model_node(
         + ("" if shared else f"/seed{seed}"),
         task="flows.tasks.model_fitting:fit_model",
         version=COMPONENTS["model_fitting"],
-        config={"model": name, "settings": plain(asdict(model)), "seed": seed},
+        config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=MODELS[name].cost(model),
@@ -142,7 +142,7 @@ def _policy_node(
     # A stack has one configuration, and data and models of one shape.
     models = {role: inputs[role].config["settings"] for role in algorithm.needs}
     system = settings.dataset[dataset].environment
-    kind = digest([plain(asdict(config)), models, system], 4)
+    kind = digest([jsonable(asdict(config)), models, system], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -151,7 +151,7 @@ def _policy_node(
         config={
             "algorithm": algorithm.name,
             "algorithm_version": algorithm.version,
-            "settings": plain(asdict(config)),
+            "settings": jsonable(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
@@ -176,7 +176,7 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
         version=COMPONENTS["evaluation"],
         config={
             "environment": spec.environment,
-            "parameters": plain(spec.environment_parameters),
+            "parameters": jsonable(spec.environment_parameters),
             "evaluation": protocol.record(spec.discount),
             "stream": [dataset, algorithm, policy.config["seed"]],
         },

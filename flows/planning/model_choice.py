@@ -70,9 +70,9 @@ def choose_models(
             f"{_search(','.join(data), ','.join(names))}, or use models=default."
         )
     for _, model in sorted(tuned):
-        if model in settings.model_words:
+        if model in settings.model_overrides:
             raise SettingsError(
-                f"{settings.model_words[model]!r} has no effect with models=tuned, whose files "
+                f"{settings.model_overrides[model]!r} has no effect with models=tuned, whose files "
                 f"hold every setting of {model}; drop the one or the other."
             )
     return ModelChoice(configs | tuned, frozenset(tuned))

@@ -31,11 +31,11 @@ __all__ = [
     "SPACES",
     "VERSION",
     "Choice",
+    "IntegerRange",
     "Parameter",
     "Range",
     "RangeOrZero",
     "Space",
-    "Whole",
     "distributions",
     "fixed",
     "parameters",
@@ -117,8 +117,8 @@ class RangeOrZero:
 
 
 @dataclass(frozen=True)
-class Whole:
-    """Whole numbers between two ends, evenly on a logarithmic scale."""
+class IntegerRange:
+    """IntegerRange numbers between two ends, evenly on a logarithmic scale."""
 
     low: int
     high: int
@@ -201,7 +201,7 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
             **_MINIBATCHES,
         },
         "recurrent_ensemble": {
-            "hidden": Whole(15, 60),
+            "hidden": IntegerRange(15, 60),
             "target": Choice(("value", "change")),
             "warm_up": Choice((10, 20, 30)),
             "batch": Choice((128, 256, 512)),

@@ -30,7 +30,7 @@ from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 
-__all__ = ["Study", "Subject", "ended_trials", "has_ended", "open_journal"]
+__all__ = ["Study", "StudySpecification", "ended_trials", "has_ended", "open_journal"]
 
 _RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
 _COMPARED_FROM = 5  # complete trials before any is given up
@@ -39,7 +39,7 @@ _COMPARED = 3  # losses at the same percentage that a comparison needs
 
 
 @dataclass(frozen=True)
-class Subject:
+class StudySpecification:
     """A model on a dataset, and what is varied.
 
     Attributes:
@@ -100,14 +100,14 @@ def open_journal(path: Path) -> JournalStorage:
         return JournalStorage(JournalFileBackend(str(path), lock))
 
 
-def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
+def ended_trials(path: Path, specifications: Iterable[StudySpecification]) -> dict[str, int]:
     """Number of ended trials by study name; changes nothing.
 
     Args:
         path: The journal.
-        subjects: Those of the studies.
+        specifications: Those of the studies.
     """
-    found = dict.fromkeys((subject.name for subject in subjects), 0)
+    found = dict.fromkeys((specification.name for specification in specifications), 0)
     if not path.exists():
         return found
     journal = open_journal(path)
@@ -121,16 +121,16 @@ def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
 class Study:
     """A study that several runs of the driver continue, one after the other."""
 
-    def __init__(self, subject: Subject, journal: JournalStorage) -> None:
+    def __init__(self, specification: StudySpecification, journal: JournalStorage) -> None:
         """Opens the study or makes it.
 
         Args:
-            subject: The model, the dataset and what is varied.
+            specification: The model, the dataset and what is varied.
             journal: See :func:`open_journal`.
         """
-        self.subject = subject
-        self.name = subject.name
-        self._space = spaces.distributions(subject.space, subject.start)
+        self.specification = specification
+        self.name = specification.name
+        self._space = spaces.distributions(specification.space, specification.start)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
             self._study = optuna.create_study(
@@ -145,14 +145,14 @@ class Study:
             n_startup_trials=_COMPARED_FROM, n_warmup_steps=_PATIENCE, n_min_trials=_COMPARED
         )
         self._reported: dict[int, int] = {}
-        self._start = spaces.parameters(subject.space, subject.start)
+        self._start = spaces.parameters(specification.space, specification.start)
 
     def trials(self) -> list[FrozenTrial]:
         """All trials so far, in order."""
         return self._study.get_trials(deepcopy=False)
 
     @property
-    def spent(self) -> int:
+    def ended(self) -> int:
         """Number of trials that count: evaluated, pruned or failed by themselves."""
         return sum(has_ended(trial) for trial in self.trials())
 
@@ -197,14 +197,14 @@ class Study:
             self._reported[trial.number] = percent
             trial.report(loss if math.isfinite(loss) else math.nan, percent)
 
-    def hopeless(self, trial: Trial) -> bool:
+    def should_prune(self, trial: Trial) -> bool:
         """Whether a running trial is worse than the median of the others at the same point.
 
         The answer may change without a new loss of its own: with every other trial that ends.
         """
         return trial.should_prune()
 
-    def give_up(self, trial: Trial) -> None:
+    def mark_for_pruning(self, trial: Trial) -> None:
         """Note that a running trial is hopeless; its later results do not count."""
         trial.set_user_attr("given_up", self._reported[trial.number])
 
@@ -229,7 +229,7 @@ class Study:
 
     def config(self, trial: FrozenTrial) -> Any:
         """The configuration object of a trial."""
-        return spaces.settings(self.subject.space, self.subject.start, trial.params)
+        return spaces.settings(self.specification.space, self.specification.start, trial.params)
 
 
 def has_ended(trial: FrozenTrial) -> bool:

@@ -42,7 +42,7 @@ class SweepFile:
         path = self._root / "tracking" / f"{name}.jsonl"
         with ExitStack() as held:
             held.enter_context(hold_sweep(self._root, name))
-            with _one_sentence(path):
+            with _as_tracking_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 cut_half_line(path)
                 self._newest = {str(event.get("about")): event for event in read_lines(path)}
@@ -84,7 +84,7 @@ class SweepFile:
         if _text(fields) == _text(self._newest.get(about, {})):
             return
         line = {"time": round(time.time(), 3), **fields}
-        with _one_sentence(self._path):
+        with _as_tracking_errors(self._path):
             append_line(self._path, line)
         self._newest[about] = line
 
@@ -96,7 +96,7 @@ def _text(event: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def _one_sentence(path: Path) -> Iterator[None]:
+def _as_tracking_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:

@@ -49,7 +49,7 @@ def test_what_is_shown_given_as_words_makes_the_same_settings() -> None:
     del found["dataset"]
     again = load_settings(leaves(found))
     smoke = load_settings(["profile=smoke"])
-    for name in type(smoke).model_fields.keys() - {"model_words", "special"}:
+    for name in type(smoke).model_fields.keys() - {"model_overrides", "special"}:
         assert getattr(again, name) == getattr(smoke, name), name
 
 

@@ -11,7 +11,7 @@ import pytest
 from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError
 from flows.pipeline.locks import locked
-from flows.pipeline.store import ArtifactStore, disk_sentence
+from flows.pipeline.store import ArtifactStore, disk_error_message
 
 A, B, C = (letter * 32 for letter in "abc")
 
@@ -56,8 +56,8 @@ def test_full_disk_is_named(tmp_path: Path) -> None:
         pytest.skip("this system has no /dev/full")
     with pytest.raises(OSError, match="No space") as caught, full.open("w") as file:
         file.write("x")
-    assert "is full: free space" in str(disk_sentence(caught.value, tmp_path))
-    assert disk_sentence(OSError(errno.EIO, "broken"), tmp_path) is None
+    assert "is full: free space" in str(disk_error_message(caught.value, tmp_path))
+    assert disk_error_message(OSError(errno.EIO, "broken"), tmp_path) is None
 
 
 def test_reading_store_makes_no_folder(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_work_that_another_process_removes_meanwhile_is_passed_over(
         return content
 
     monkeypatch.setattr("flows.pipeline.store.read_json", read_and_lose)
-    assert store.works() == [kept]
+    assert store.work_folders() == [kept]
 
 
 def test_part_of_begun_work_continues_on_a_copy(store: ArtifactStore) -> None:

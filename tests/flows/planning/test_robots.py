@@ -7,7 +7,7 @@ import pytest
 from components.data.sources.robots import RobotSpec
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.planning.benchmark import benchmark_plan, data_plan
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 
 
 @pytest.fixture
@@ -71,6 +71,6 @@ def test_robots_of_different_shapes_are_no_lanes_of_one_stack(planned: Settings)
 def test_how_far_back_models_look_is_no_question_where_one_frame_shows_all(
     planned: Settings,
 ) -> None:
-    for subject in search_subjects(planned):
-        assert subject.space.keys() & {"history", "warm_up"} == set()
-        assert "hidden" in subject.space
+    for specification in study_specifications(planned):
+        assert specification.space.keys() & {"history", "warm_up"} == set()
+        assert "hidden" in specification.space

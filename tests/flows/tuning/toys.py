@@ -14,7 +14,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
 from flows.tuning.search import Outcome, search
 from flows.tuning.space import Choice, Range, Space
-from flows.tuning.study import Study, Subject, open_journal
+from flows.tuning.study import Study, StudySpecification, open_journal
 from flows.tuning.trials import NullTrials
 from tests.flows.pipeline.toys import count, wait_for
 
@@ -77,7 +77,7 @@ def data_node() -> Node:
     return Node("data", "data/toy", "tests.flows.tuning.toys:fit", 1, {"toy": True})
 
 
-def subject(log: Path, **start: Any) -> Subject:
+def specification(log: Path, **start: Any) -> StudySpecification:
     """A search of the toy."""
 
     def node(config: ToyConfig) -> Node:
@@ -90,12 +90,14 @@ def subject(log: Path, **start: Any) -> Subject:
             tags={"dataset": "made-up", "model": "toy"},
         )
 
-    return Subject("made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node)
+    return StudySpecification(
+        "made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node
+    )
 
 
 def study(home: Path, log: Path, **start: Any) -> Study:
     """The study as a new driver opens it."""
-    return Study(subject(log, **start), open_journal(home / "optuna" / "journal.log"))
+    return Study(specification(log, **start), open_journal(home / "optuna" / "journal.log"))
 
 
 def run(home: Path, log: Path, trials: int, **kind: Any) -> Outcome:

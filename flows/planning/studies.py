@@ -1,15 +1,15 @@
-"""The subjects of a hyperparameter search: every chosen model on every chosen dataset."""
+"""The specifications of a hyperparameter search: every chosen model on every chosen dataset."""
 
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node
 from flows.planning.benchmark import data_plan, model_node
 from flows.tuning.space import space_of
-from flows.tuning.study import Subject
+from flows.tuning.study import StudySpecification
 
-__all__ = ["search_subjects"]
+__all__ = ["study_specifications"]
 
 
-def search_subjects(settings: Settings) -> list[Subject]:
+def study_specifications(settings: Settings) -> list[StudySpecification]:
     """Joins settings, spaces and nodes; the datasets' models come in the order of the settings.
 
     A search must not load environments, which the plan of a dataset does: hence not in
@@ -17,12 +17,12 @@ def search_subjects(settings: Settings) -> list[Subject]:
     """
     data = {node.tags["dataset"]: node for node in data_plan(settings)}
 
-    def subject(dataset: str, model: str) -> Subject:
+    def specification(dataset: str, model: str) -> StudySpecification:
         def node(config: object) -> Node:
             return model_node(model, config, dataset, data[dataset])
 
         space = space_of(model, settings.dataset[dataset].history)
         start = settings.model_on(dataset, model)
-        return Subject(dataset, model, start, space, data[dataset], node)
+        return StudySpecification(dataset, model, start, space, data[dataset], node)
 
-    return [subject(d, m) for d in settings.datasets for m in settings.tuning.models]
+    return [specification(d, m) for d in settings.datasets for m in settings.tuning.models]

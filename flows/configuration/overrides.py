@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from flows.configuration.checking import SettingsError, hint
 
-__all__ = ["ALIASES", "check_keys", "modernise", "parse_words", "split_words"]
+__all__ = ["ALIASES", "check_keys", "parse_overrides", "rename_old_keys", "split_overrides"]
 
 ALIASES: Mapping[str, str] = {"models": "models.source"}
 """Short keys of the command line and what they stand for; a door may have others."""
@@ -18,7 +18,7 @@ _RENAMED = {("evaluation", "lambda_step"): "proximity_step"}
 """Keys by the group they are in, and what they are called today."""
 
 
-def split_words(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, list[str]]:
+def split_overrides(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, list[str]]:
     """The profile, and the other words with the full names of today's keys.
 
     Raises:
@@ -39,7 +39,7 @@ def split_words(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, 
     return profile, rest
 
 
-def modernise(layer: DictConfig) -> DictConfig:
+def rename_old_keys(layer: DictConfig) -> DictConfig:
     """Give keys of files and words the names of today; changes the layer."""
     for (group, old), new in _RENAMED.items():
         fields = layer.get(group)
@@ -48,7 +48,7 @@ def modernise(layer: DictConfig) -> DictConfig:
     return layer
 
 
-def parse_words(words: Sequence[str]) -> DictConfig:
+def parse_overrides(words: Sequence[str]) -> DictConfig:
     """The values of words, as a nested configuration.
 
     Raises:
@@ -69,7 +69,7 @@ def parse_words(words: Sequence[str]) -> DictConfig:
                 f"{override.key_or_group}=[...]."
             )
         OmegaConf.update(parsed, override.key_or_group, override.value(), force_add=True)
-    return modernise(parsed)
+    return rename_old_keys(parsed)
 
 
 def check_keys(words: Sequence[str], base: DictConfig) -> None:
