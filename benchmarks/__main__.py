@@ -17,7 +17,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Print the machine and a Markdown table per benchmark, each as soon as it is known."""
+    """Print a line about the computer and a Markdown table per benchmark, each when it is known."""
     print(computer(), flush=True)
     reports = {
         "Industrial Benchmark": environment.report,

@@ -1,4 +1,4 @@
-"""How long the recurrent ensemble takes to reference quality on `mediocre-1.0`.
+"""Time that the recurrent ensemble takes to reference quality on `mediocre-1.0`.
 
 `python -m benchmarks.ensemble_quality [--threads 2]`. The reference artefacts of the thesis's
 authors reach a held-out normalised squared error of about 0.040 (fatigue) and 0.005 (consumption),
@@ -45,7 +45,7 @@ def first_good(curves: dict[str, Sequence[Series]], wanted: dict[str, float]) ->
 
 
 def report(device: str = "cpu", config: RecurrentEnsembleConfig | None = None) -> str:
-    """Fit once and tell when it was good enough; a Markdown table.
+    """Fit once and say when it was good enough; a Markdown table.
 
     Args:
         device: Where to train.

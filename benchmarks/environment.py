@@ -2,7 +2,7 @@
 
 `python -m benchmarks.environment [--copies 1000] [--seconds 2]` prints a table of steps per second.
 Both run on one core with actions prepared beforehand; of several repetitions the best counts, since
-other work on the machine can only slow a repetition down.
+other work on the computer can only slow a repetition down.
 """
 
 import argparse

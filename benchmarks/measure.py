@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing side by side, Markdown tables, a line about the machine."""
+"""What the benchmarks share: timing side by side, Markdown tables, a line about the computer."""
 
 import datetime
 import os
@@ -18,7 +18,7 @@ def median_seconds(
 ) -> dict[str, float]:
     """Median seconds of each run, after one warm-up.
 
-    The runs take turns, so that other work on the machine slows all of them down alike and their
+    The runs take turns, so that other work on the computer slows all of them down alike and their
     ratios stay meaningful. Work queued on a GPU is waited for.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a node of the pipeline costs when its task does nothing.
+"""Overhead of the pipeline per node, measured with a task that does nothing.
 
 `python -m benchmarks.pipeline [--nodes 40] [--repetitions 3]`. Half of the nodes read the other
 half; everything runs in this process, one after the other. Besides the serial runner that means a

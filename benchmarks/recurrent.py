@@ -1,4 +1,4 @@
-"""What the stacked scan buys: one training pass of the transition ensemble, against a plain loop.
+"""Speed of the stacked scan: a training pass of the transition ensemble against a plain loop.
 
 `python -m benchmarks.recurrent [--device cpu] [--repetitions 3]`. A pass is prediction, loss and
 gradients of all networks at the window sizes of the ensemble's default configuration. The plain
@@ -34,7 +34,7 @@ __all__ = [
 KNOWN = 4
 """Known features of the Industrial Benchmark."""
 FATIGUE_ALONE = Feedback.stored(torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1))
-"""There the networks of fatigue read their own values back, those of consumption do not."""
+"""The networks of fatigue read their own predictions back, those of consumption do not."""
 
 
 class PlainNetwork(nn.Module):

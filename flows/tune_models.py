@@ -1,8 +1,7 @@
 """Hyperparameter search: ``python -m flows.tune_models datasets=[mediocre-0.2] trials=30``.
 
-Searches the settings of supervised models on held-out trajectories. This door only wires: datasets
-are generated first if they are missing; the search itself, :mod:`flows.tuning`, knows no
-environment.
+Searches the settings of supervised models on held-out trajectories. Missing datasets are generated
+first; the search itself, :mod:`flows.tuning`, imports no environment.
 """
 
 import shlex
@@ -10,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from flows.command_line import command_words, main, make_executor, run_sweep
+from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.progress import Display
@@ -26,33 +25,31 @@ from flows.tuning.study import Study, ended_trials, open_journal
 from flows.tuning.trials import NullTrials, Trials
 from flows.tuning.tuned_file import write_tuned
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.tune_models [KEY=VALUE ...]
 
 Search architecture, learning rate, schedule, weight decay, batch and, where a model has them,
 history and target form of supervised models, on held-out trajectories. The first trial is the
-default configuration. Everything is kept under mlruns/; the same command continues a search, also a
-killed one, and a larger number of trials extends it.
+default configuration. Everything is kept under mlruns/. To continue a search that was stopped, give
+the same command again; a larger number of trials extends a search.
 
-  datasets=[a,b]               names in conf/dataset, or all
-  models=[a,b]                 names in components/models, or all; recurrent_ensemble is the default
-  trials=30                    per dataset and model
-  model.NAME.KEY=VALUE         where the search of a model starts, e.g. model.action_vae.epochs=20
-  models.folder=conf/tuned     where the winners are written, as DATASET/MODEL.yaml
-  profile=smoke|quick|paper    budgets of the fits and selection of datasets; paper is the default
-  dry_run=true                 show what would be searched and stop
-  show_settings=true           print every setting and stop
+Use the best settings: python -m flows.full_benchmark models=tuned
+Look at the trials:    pip install '.[dashboard]', then optuna-dashboard mlruns/optuna/journal.log;
+                       in MLflow (python -m flows.ui) they are runs with the tags study and trial.
 
-Use the winners:  python -m flows.full_benchmark models=tuned
-Look at a search: pip install optuna-dashboard, then optuna-dashboard mlruns/optuna/journal.log;
-                  in MLflow (python -m flows.ui) every trial is a run with the tags study and trial.
-"""
+  profile=smoke|quick|paper       budgets and selection of datasets; paper is the default
+  datasets=[a,b]                  names in conf/dataset, or all
+  models=[a,b]                    names in components/models, or all; recurrent_ensemble by default
+  trials=30                       per dataset and model
+  model.NAME.KEY=VALUE            where its search starts, e.g. model.action_vae.epochs=20
+  models.folder=conf/tuned        where the best settings are written, as DATASET/MODEL.yaml
+{COMMON_HELP}"""
 
 ALIASES = {"models": "tuning.models", "trials": "tuning.trials"}
 
 
 def _generate(settings: Settings, plan: Plan, store: ArtifactStore) -> int:
-    """Make the datasets that are missing; the only step that needs the real system."""
+    """Generate the datasets that are missing; the only step that needs the real system."""
     if all(store.complete(node.key) for node in plan):
         return 0
     return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, lambda outcome: ([], {}))
@@ -102,7 +99,7 @@ def _run(settings: Settings) -> int:
     )
     status = "FAILED"
     files: list[Path] = []
-    verdicts: dict[str, str] = {}
+    comparisons: dict[str, str] = {}
     studies: list[Study] = []
     try:
         journal = open_journal(_journal(settings))
@@ -112,7 +109,7 @@ def _run(settings: Settings) -> int:
             tuned = tuned_model(study, store)
             if tuned is not None:
                 files.append(write_tuned(tuned_folder(settings), tuned))
-                verdicts[study.name] = f"{comparison(tuned)}; {files[-1]}"
+                comparisons[study.name] = f"{comparison(tuned)}; {files[-1]}"
 
         outcome = search(
             studies,
@@ -127,7 +124,7 @@ def _run(settings: Settings) -> int:
     finally:
         with suppress(KeyboardInterrupt):
             tracker.close(status, files, best_losses(studies))
-    for line in verdicts.values():
+    for line in comparisons.values():
         print(line)
     _explain(console, command, outcome.interrupted, outcome.failed, outcome.unrecorded)
     return outcome.exit_code
@@ -139,7 +136,7 @@ def _explain(
     if interrupted:
         console.note(f"Interrupted; nothing finished is lost. Continue with: {command}")
     for study in failed:
-        console.note(f"No trial of {study} could be evaluated.")
+        console.note(f"No trial of {study} could be evaluated; the lines above say why.")
     if unrecorded:
         console.note(
             f"Some trials are not in the tracker yet: {unrecorded} Record them with: {command}"

@@ -1,4 +1,4 @@
-"""The words of a command line: ``key=value`` by Hydra's grammar."""
+"""Overrides on a command line: ``key=value`` in Hydra's grammar."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,14 +12,14 @@ from flows.configuration.checking import SettingsError, hint
 __all__ = ["ALIASES", "check_keys", "parse_overrides", "rename_old_keys", "split_overrides"]
 
 ALIASES: Mapping[str, str] = {"models": "models.source"}
-"""Short keys of the command line and what they stand for; a door may have others."""
+"""Short keys of the command line and the full keys they stand for; a door may have others."""
 
 _RENAMED = {("evaluation", "lambda_step"): "proximity_step"}
-"""Keys by the group they are in, and what they are called today."""
+"""Old keys, each with its group, and their names of today."""
 
 
 def split_overrides(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, list[str]]:
-    """The profile, and the other words with the full names of today's keys.
+    """The profile, and the other overrides with full keys under their names of today.
 
     Raises:
         SettingsError: A word is no key=value.
@@ -40,7 +40,7 @@ def split_overrides(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[s
 
 
 def rename_old_keys(layer: DictConfig) -> DictConfig:
-    """Give keys of files and words the names of today; changes the layer."""
+    """Give old keys of a file or a command line their names of today; changes the layer."""
     for (group, old), new in _RENAMED.items():
         fields = layer.get(group)
         if isinstance(fields, DictConfig) and old in fields:
@@ -49,7 +49,7 @@ def rename_old_keys(layer: DictConfig) -> DictConfig:
 
 
 def parse_overrides(words: Sequence[str]) -> DictConfig:
-    """The values of words, as a nested configuration.
+    """The values of overrides, as a nested configuration.
 
     Raises:
         SettingsError: A word does not follow the grammar.
@@ -73,10 +73,10 @@ def parse_overrides(words: Sequence[str]) -> DictConfig:
 
 
 def check_keys(words: Sequence[str], base: DictConfig) -> None:
-    """Refuse keys that nothing has.
+    """Refuse unknown keys.
 
     Args:
-        words: With full keys.
+        words: Overrides with full keys.
         base: A configuration with every valid key.
 
     Raises:

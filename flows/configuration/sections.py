@@ -47,7 +47,7 @@ def selected(group: str, chosen: Any, valid: Sequence[str]) -> list[str]:
                 + hint(name, valid)
             )
     if len(set(names)) != len(names):
-        raise SettingsError(f"{group}s={names} names one twice.")
+        raise SettingsError(f"{group}s={names} names one twice; give each name once.")
     return names
 
 
@@ -81,12 +81,12 @@ _ModelsOfSome = TypedDict(  # type: ignore[misc]
 
 
 class SpecialSettings(StrictModel):
-    """What holds on a dataset that wants something otherwise than the rest.
+    """Settings on a dataset that changes some for itself.
 
     Attributes:
         algorithm: Configuration object of every algorithm, by name.
         model: Configuration object of every supervised model, by name.
-        model_for: By algorithm, configuration objects of the models that it wants otherwise.
+        model_for: By algorithm, configuration objects of the models that differ for it.
     """
 
     algorithm: AlgorithmConfigs
@@ -104,7 +104,7 @@ class DataSettings(StrictModel):
 
 
 class TrainingSettings(StrictModel):
-    """What training keeps."""
+    """What a training run keeps."""
 
     snapshots: int = Field(ge=1)
 
@@ -116,7 +116,7 @@ class AggregationSettings(StrictModel):
 
 
 class ExpertsSettings(StrictModel):
-    """Which experts are trained, and how."""
+    """Which experts are trained and how."""
 
     robots: Annotated[tuple[str, ...], selection("robot", ROBOTS)]
     seeds: Seeds
@@ -127,7 +127,7 @@ class ExpertsSettings(StrictModel):
 
 
 class RunnerSettings(StrictModel):
-    """How to run; changes no result."""
+    """How to run; none of this changes a result."""
 
     executor: Literal["ray", "serial"]
     tracker: Literal["mlflow", "file", "none"]
@@ -147,7 +147,7 @@ class ModelsSettings(StrictModel):
 
 
 class TuningSettings(StrictModel):
-    """What a hyperparameter search searches, and how long."""
+    """Models and number of trials of a hyperparameter search."""
 
     models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]
     trials: int = Field(ge=1)

@@ -1,4 +1,4 @@
-"""From the words of a command line to settings: `load_settings`."""
+"""Makes settings of a command line: `load_settings`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

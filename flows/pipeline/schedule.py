@@ -149,7 +149,7 @@ def simulate_schedule(
     slots: int,
     started: Collection[str] = (),
 ) -> dict[str, float]:
-    """Simulates the schedule.
+    """Simulates the list schedule.
 
     Args:
         groups: The groups not finished, in an order in which they can run.

@@ -2,7 +2,7 @@
 
     ROOT/nodes/KEY/     a finished artifact: complete if and only if the folder is there
     ROOT/work/GROUP/    checkpoints and half-made outputs of nodes that are computed together
-    ROOT/progress/      reports of running calls, and requests to stop them
+    ROOT/progress/      progress reports of running calls, and requests to stop them
     ROOT/locks/         one lock per node that is being computed
 
 An artifact is made in its work folder and renamed into place, so it is there whole or not at all.
@@ -166,7 +166,7 @@ class ArtifactStore:
         return frozenset(key for key in work.serves if not self.path(key).is_dir())
 
     def work_folders(self) -> list[Work]:
-        """All readable work folders; others may come and go meanwhile."""
+        """All readable work folders; other processes may add and remove some meanwhile."""
         found = []
         for folder in sorted(self.work.iterdir()) if self.work.is_dir() else ():
             members = None if folder.name.startswith(".") else read_json(folder / _MEMBERS)

@@ -29,7 +29,7 @@ FAILURE_FILE = "failure.txt"
 
 
 class StopRequested(Exception):  # noqa: N818 - a stop on request, no error
-    """Ends a task call that the driver has asked to stop; its nodes neither finish nor fail."""
+    """Ends a task call that the driver wants stopped; its nodes neither finish nor fail."""
 
 
 @dataclass
@@ -98,7 +98,7 @@ class TaskContext:
             self._write()
 
     def validated(self, fraction: float, loss: float) -> None:
-        """Reports a held-out loss on the way, and ends the call if the driver has asked for that.
+        """Reports an intermediate held-out loss, and ends the call if the driver wants it stopped.
 
         Args:
             fraction: Part of the budget that is spent, between 0 and 1.
@@ -112,7 +112,7 @@ class TaskContext:
         self._write()
         self.watch()
         if self.stop_file is not None and self.stop_file.exists():
-            raise StopRequested(f"given up at {self._fraction:.0%} of the budget")
+            raise StopRequested(f"stopped at {self._fraction:.0%} of the budget")
 
     def _write(self) -> None:
         if self.progress_file is not None:

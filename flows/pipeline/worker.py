@@ -78,7 +78,7 @@ class GroupResult:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
-        stopped: Keys whose computation the driver has stopped because it needs them no longer.
+        stopped: Keys whose computation the driver has stopped.
     """
 
     group: str
@@ -205,7 +205,7 @@ def _reason(error: BaseException, store: ArtifactStore) -> str:
         isinstance(error, MemoryError) or "out of memory" in str(error).lower()
     ):
         sentence = (
-            "Memory ran out: let fewer tasks run at once, or make the batch or the lanes smaller."
+            "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
         )
     return f"{text}\n{sentence}" if sentence else text
 

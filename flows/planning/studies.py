@@ -1,4 +1,4 @@
-"""The specifications of a hyperparameter search: every chosen model on every chosen dataset."""
+"""The studies of a hyperparameter search: every chosen model on every chosen dataset."""
 
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node
@@ -10,10 +10,10 @@ __all__ = ["study_specifications"]
 
 
 def study_specifications(settings: Settings) -> list[StudySpecification]:
-    """Joins settings, spaces and nodes; the datasets' models come in the order of the settings.
+    """The specifications of the studies, dataset by dataset, in the order of the settings.
 
-    A search must not load environments, which the plan of a dataset does: hence not in
-    `flows.tuning`.
+    This is not in `flows.tuning`, because the plan of a dataset imports environments and a search
+    must not.
     """
     data = {node.tags["dataset"]: node for node in data_plan(settings)}
 

@@ -1,9 +1,9 @@
 """Trials in MLflow: every one is a run below the run of the search.
 
-A trial that was computed in this search is the run of its node. Others have no node run of their
-own: those that were pruned or failed, and those whose result was there before and has its run below
-the sweep that made it. They get a small run with the settings, the losses on the way and the state.
-Either is found by the tags `study`, `trial` and `state`.
+A trial that was computed in this search is the run of its node. Others get a small run with the
+settings, the intermediate losses and the state: those that were pruned or failed, and those whose
+result was there before and has its run below the sweep that made it. Both are found by the tags
+`study`, `trial` and `state`.
 """
 
 import time

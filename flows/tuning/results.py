@@ -1,4 +1,4 @@
-"""What a search has found: its winner, one sentence about it, and the way there."""
+"""The results of a search: tuned settings, a sentence about them, the best losses so far."""
 
 import json
 from collections.abc import Iterable
@@ -43,7 +43,7 @@ def tuned_model(study: Study, store: ArtifactStore) -> TunedModel | None:
 
 
 def comparison(tuned: TunedModel) -> str:
-    """The winner's loss beside that of the default configuration, without a final stop."""
+    """The best loss beside that of the default configuration, without a final stop."""
     text = f"{tuned.dataset} {tuned.model}: trial {tuned.trial} of {tuned.trials} with a held-out "
     text += f"loss of {tuned.validation_loss:.6g}"
     default = tuned.default_validation_loss
@@ -54,7 +54,7 @@ def comparison(tuned: TunedModel) -> str:
 
 
 def best_losses(studies: Iterable[Study]) -> Metrics:
-    """Per study the lowest loss so far over the number of the trial."""
+    """Per study the best loss so far over the number of the trial."""
     curves: dict[str, list[tuple[int, float]]] = {}
     for study in studies:
         best = float("inf")

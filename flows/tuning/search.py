@@ -1,4 +1,4 @@
-"""The search: asks studies for trials, has an executor fit them, reports the losses back.
+"""The search: asks studies for trials, lets an executor fit them, reports the losses back.
 
 A trial is a model-fitting node like any other, so its key finds a finished artifact or a checkpoint
 of any earlier run, and a benchmark finds those of the search. The next trial is asked for whenever
@@ -27,7 +27,7 @@ from flows.tuning.trials import Trials
 
 __all__ = ["SearchOutcome", "search"]
 
-_TICK = 0.5  # seconds between two looks at the losses on the way
+_TICK = 0.5  # seconds between two looks at the intermediate losses
 _SIGN_OF_LIFE = 60.0  # seconds without a message after which running trials are listed
 
 
@@ -83,7 +83,7 @@ def search(
         tracker: Records the trials; the caller has opened it.
         executor: Computes the fits.
         notify: Takes one-line messages.
-        finished: Called with every study that has its trials, one of them complete.
+        finished: Called with every study that has all its trials, if one of them is complete.
 
     Returns:
         How the search ended. Nothing is raised for failed trials.
@@ -102,7 +102,7 @@ def search(
 
 
 def _group(key: str) -> str:
-    """Name of a trial's call, unlike those of plans, whose calls a search may not stop."""
+    """Name of a trial's call; other than those of plans, whose calls a search must not stop."""
     return f"trial-{key}"
 
 
@@ -217,13 +217,13 @@ class _Search:
     # Running trials
 
     def _check_running(self) -> None:
-        """Report losses on the way to the studies, and stop hopeless trials."""
+        """Report intermediate losses to the studies, and stop trials that they prune."""
         for group, call in self.running.items():
             self._report(group, call)
             if self.store.stop_file(group).exists():
                 continue
             if any(call.study.should_prune(trial) for trial in call.trials):
-                # First in the study: after a kill in between the trial does not begin once more.
+                # The study is told first: after a kill in between, the trial does not begin again.
                 for trial in call.trials:
                     call.study.mark_for_pruning(trial)
                 self.store.stop_file(group).touch()
@@ -257,7 +257,7 @@ class _Search:
                 self._evaluated(call.study, trial, call.node)
             elif call.node.key in result.stopped:
                 call.study.prune(trial)
-                self._ended(call.study, trial, "given up, worse than the median of the others")
+                self._ended(call.study, trial, "pruned, worse than the median of the others")
             else:
                 reason = result.failed.get(call.node.key, "The worker gave no reason.")
                 self._failed(call.study, trial, reason)
@@ -285,7 +285,7 @@ class _Search:
         self.queue.add(study, trial.number)
 
     def _close(self) -> None:
-        """Hand over the studies that have all their trials."""
+        """Call `finished` with the studies that have all their trials."""
         for study in list(self.open):
             if self._wants(study) or self._active(study):
                 continue

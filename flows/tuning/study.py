@@ -4,9 +4,9 @@ The study's name ends in a digest of all that its losses depend on and that is n
 study never mixes losses that cannot be compared. The driver alone writes. It may be killed at any
 line; :meth:`Study.recover` then repairs the study:
 
-- a trial that was running is failed, and its parameters are put in line again: the new trial means
+- a trial that was running is failed, and its parameters are enqueued again: the new trial means
   the same node, so its checkpoint or its finished artifact is used;
-- a trial that was found hopeless is pruned, whether or not its worker has stopped.
+- a trial that was marked for pruning is pruned, whether or not its worker has stopped.
 
 A trial that failed by itself has a reason among its attributes and counts. One that was
 interrupted has none and does not count.
@@ -25,7 +25,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from flows.pipeline.json_lines import cut_half_line
+from flows.pipeline.json_lines import remove_partial_line
 from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
@@ -33,7 +33,7 @@ from flows.tuning import space as spaces
 __all__ = ["Study", "StudySpecification", "ended_trials", "has_ended", "open_journal"]
 
 _RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
-_COMPARED_FROM = 5  # complete trials before any is given up
+_COMPARED_FROM = 5  # complete trials before any is pruned
 _PATIENCE = 25  # percent of the budget that every trial gets
 _COMPARED = 3  # losses at the same percentage that a comparison needs
 
@@ -92,7 +92,7 @@ def open_journal(path: Path) -> JournalStorage:
     lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
     lock.acquire()
     try:
-        cut_half_line(path)
+        remove_partial_line(path)
     finally:
         lock.release()
     with warnings.catch_warnings():
@@ -157,7 +157,7 @@ class Study:
         return sum(has_ended(trial) for trial in self.trials())
 
     def recover(self) -> None:
-        """Repair the study after a killed driver, and put the start in line if it is missing."""
+        """Repair the study after a killed driver, and enqueue the start if it is missing."""
         for trial in self.trials():
             if trial.state is not TrialState.RUNNING:
                 continue
@@ -181,16 +181,16 @@ class Study:
         return next((t for t in found if has_ended(t) or t.state is not lost), None)
 
     def ask(self) -> Trial:
-        """A new trial, or the next one in line."""
+        """A new trial, or the next enqueued one."""
         return self._study.ask(self._space)
 
     def report(self, trial: Trial, fraction: float, loss: float) -> None:
-        """Note a held-out loss on the way.
+        """Note an intermediate held-out loss.
 
         Args:
             trial: A running trial.
             fraction: Part of the budget that is spent.
-            loss: There.
+            loss: Held-out loss there.
         """
         percent = int(100 * fraction + 1e-9)
         if percent > self._reported.get(trial.number, 0):
@@ -198,14 +198,14 @@ class Study:
             trial.report(loss if math.isfinite(loss) else math.nan, percent)
 
     def should_prune(self, trial: Trial) -> bool:
-        """Whether a running trial is worse than the median of the others at the same point.
+        """Whether a running trial is worse than the median of the others at the same budget.
 
         The answer may change without a new loss of its own: with every other trial that ends.
         """
         return trial.should_prune()
 
     def mark_for_pruning(self, trial: Trial) -> None:
-        """Note that a running trial is hopeless; its later results do not count."""
+        """Note that a running trial will be pruned; its later results do not count."""
         trial.set_user_attr("given_up", self._reported[trial.number])
 
     def complete(self, trial: Trial, loss: float) -> None:
@@ -213,7 +213,7 @@ class Study:
         self._study.tell(trial, loss)
 
     def prune(self, trial: Trial) -> None:
-        """End a hopeless trial."""
+        """End a pruned trial."""
         self._study.tell(trial, state=TrialState.PRUNED)
 
     def fail(self, trial: Trial, reason: str) -> None:

@@ -36,7 +36,7 @@ class TrialQueue:
         self._waiting: list[tuple[Study, int]] = []
 
     def add(self, study: Study, number: int) -> None:
-        """Puts a trial that ended in line."""
+        """Adds a trial that ended."""
         self._waiting.append((study, number))
 
     def catch_up(self, studies: Iterable[Study]) -> None:
@@ -52,7 +52,7 @@ class TrialQueue:
         self.write()
 
     def write(self) -> None:
-        """Records what waits."""
+        """Records the waiting trials."""
         while self._waiting and not self.unrecorded:
             study, number = self._waiting[0]
             try:

@@ -1,4 +1,4 @@
-"""Short real runs on the robots: logged, learned from, judged on the robot itself."""
+"""Short real runs on the robots: logged, learned from, evaluated on the robot itself."""
 
 from pathlib import Path
 

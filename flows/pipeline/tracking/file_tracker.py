@@ -14,7 +14,7 @@ from typing import Any
 
 from components.core.files import read_json
 from flows.pipeline.errors import TrackingError
-from flows.pipeline.json_lines import append_line, cut_half_line, read_lines
+from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.sweep_lock import hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
@@ -44,7 +44,7 @@ class SweepFile:
             held.enter_context(hold_sweep(self._root, name))
             with _as_tracking_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                cut_half_line(path)
+                remove_partial_line(path)
                 self._newest = {str(event.get("about")): event for event in read_lines(path)}
             self._lock = held.pop_all()  # an error above gives it back
         self._path = path

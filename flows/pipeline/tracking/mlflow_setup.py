@@ -28,7 +28,7 @@ def import_mlflow() -> Any:
     import mlflow
 
     for name in ("mlflow", "alembic"):
-        # They also raise what they log as an error, and we turn that into one sentence.
+        # What they log as an error they also raise, and it is reported as one sentence.
         logging.getLogger(name).setLevel(logging.CRITICAL)
     return mlflow
 

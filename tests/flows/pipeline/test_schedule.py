@@ -57,7 +57,7 @@ def test_lanes_that_wait_for_themselves_are_refused(store: ArtifactStore, tmp_pa
 
 
 @pytest.mark.parametrize(("slots", "whole"), [(1, 9.0), (2, 6.0), (8, 6.0)])
-def test_estimate_plays_the_schedule(
+def test_estimate_simulates_the_schedule(
     store: ArtifactStore, tmp_path: Path, slots: int, whole: float
 ) -> None:
     groups = groups_of(fan(tmp_path), store)

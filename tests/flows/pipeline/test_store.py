@@ -101,7 +101,7 @@ def test_part_of_begun_work_continues_on_a_copy(store: ArtifactStore) -> None:
     assert copy.path != work.path
     assert copy.members == (A, B, C)
     assert (copy.path / "checkpoint").read_text() == "half"
-    # The whole is still there for whoever asks for the rest, or for all.
+    # The whole is still there for a call that needs the rest, or all.
     assert store.split([A, B, C]) == [[A, B, C]]
     assert store.open_work([A, B, C]).path == work.path
 
@@ -149,7 +149,7 @@ def test_repair_leaves_held_work_and_checkpoints_alone(store: ArtifactStore) -> 
         assert free  # the kernel gave the lock back
 
 
-def test_lock_file_removed_by_its_holder_locks_nobody_out(tmp_path: Path) -> None:
+def test_a_lock_file_removed_by_its_holder_does_not_block_the_next(tmp_path: Path) -> None:
     with locked(tmp_path / "lock") as first:
         assert first
         with locked(tmp_path / "lock", wait=False) as second:

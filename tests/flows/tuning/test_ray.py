@@ -33,7 +33,7 @@ def start(home: Path, log: Path) -> subprocess.Popen[str]:
 
 @pytest.mark.slow(40)
 @pytest.mark.xdist_group("ray")
-def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: Path) -> None:
+def test_a_killed_search_continues_and_pruned_trials_stop_in_ray_s_workers(tmp_path: Path) -> None:
     home, log = tmp_path / "mlruns", tmp_path / "log"
     log.mkdir()
     made = study(home, log)
@@ -54,7 +54,7 @@ def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: P
     assert set(steps.values()) == {6}
 
     (log / "go").touch()
-    (log / f"slow-{bad.key}").touch()  # so that the driver can judge it before it is done
+    (log / f"slow-{bad.key}").touch()  # so that the driver can prune it before it is done
     with start(home, log) as driver:
         out, text = driver.communicate(timeout=300)
     assert (driver.returncode, out) == (0, ""), text

@@ -61,7 +61,7 @@ def test_more_trials_extend_a_study_and_nothing_is_drawn_twice(home: Path, log: 
     }
 
 
-def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) -> None:
+def test_pruned_trials_end_early_and_are_not_failures(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     for k in range(_COMPARED_FROM - 1):  # beside the start
@@ -84,7 +84,7 @@ def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) ->
     assert counted(log, f"step-{node.key}") == done
 
 
-def test_a_trial_is_judged_anew_with_every_other_that_ends(home: Path, log: Path) -> None:
+def test_pruning_is_decided_again_whenever_another_trial_ends(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     others = [made.ask() for _ in range(_COMPARED_FROM)]
@@ -97,7 +97,7 @@ def test_a_trial_is_judged_anew_with_every_other_that_ends(home: Path, log: Path
     assert made.should_prune(bad)  # without a new loss of its own
 
 
-def test_a_trial_that_was_found_hopeless_stays_so_after_a_kill(home: Path, log: Path) -> None:
+def test_a_trial_marked_for_pruning_is_pruned_after_a_kill(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     trial = made.ask()
@@ -172,7 +172,7 @@ def test_what_is_finished_elsewhere_is_not_fitted_again(home: Path, log: Path) -
     assert made.best().value == pytest.approx(0.36)
 
 
-def test_a_new_start_becomes_a_trial_of_a_study_that_has_its_number(home: Path, log: Path) -> None:
+def test_a_new_start_is_tried_in_a_study_that_has_all_its_trials(home: Path, log: Path) -> None:
     run(home, log, 2)
     other = study(home, log, x=0.5)
     assert other.name == study(home, log).name

@@ -239,7 +239,7 @@ def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("settings: [", "it is no YAML"),
+        ("settings: [", "it is not YAML"),
         ("just text", "it holds no settings"),
         ({"trial": None}, "it must hold dataset, model, .* settings and nothing else, see 'trial'"),
         ({"model": "wsbc"}, "it is about wsbc on mediocre-0.2"),
@@ -248,7 +248,7 @@ def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
         ({"settings.epochs": None}, "settings lacks epochs"),
         ({"settings.epochs": 0}, "settings: epochs, batch and every hidden width must be"),
         ({"settings.batch": "many"}, "settings.batch='many': Input should be a valid integer"),
-        ({"settings.batch": True}, "settings.batch=true: Input should be no boolean"),
+        ({"settings.batch": True}, "settings.batch=true: Input should not be a boolean"),
     ],
 )
 @pytest.mark.slow(1)
@@ -273,7 +273,7 @@ def test_a_wrong_file_is_named_with_its_remedy(
     message = str(caught.value)
     assert message.startswith(f"{path} cannot be used (")
     assert message.endswith(
-        "); make it anew with 'python -m flows.tune_models datasets=[mediocre-0.2] "
+        "); make it again with 'python -m flows.tune_models datasets=[mediocre-0.2] "
         "models=[behaviour_policy]', or use models=default."
     )
     assert "\n" not in message

@@ -1,4 +1,4 @@
-"""A search never comes near a real system: not in what it loads, not in what it does."""
+"""A search reaches no real system: it loads no environment and steps none."""
 
 import os
 import subprocess

@@ -12,7 +12,7 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
-from flows.tuning.search import Outcome, search
+from flows.tuning.search import SearchOutcome, search
 from flows.tuning.space import Choice, Range, Space
 from flows.tuning.study import Study, StudySpecification, open_journal
 from flows.tuning.trials import NullTrials
@@ -44,9 +44,10 @@ def loss(settings: dict[str, Any]) -> float:
 def fit(jobs: Sequence[Job], context: TaskContext) -> None:
     """Approaches the loss step by step, with a checkpoint after each.
 
-    A file in the log folder changes its mind: `die-N` kills the process at step N, once;
-    `interrupt` presses Ctrl-C at step 5, once; `fail-bad` makes bad moods fail; with `hold` it
-    waits at step 5 for `go`, with `slow-KEY` late in the fit for the driver to give it up.
+    A file in the log folder changes what it does: `die-N` kills the process at step N, once;
+    `interrupt` presses Ctrl-C at step 5, once; `fail-bad` makes trials with `mood=bad` fail;
+    with `hold` it waits at step 5 for `go`, with `slow-KEY` late in the fit for the driver to stop
+    it.
     """
     (job,) = jobs
     settings, checkpoint = job.config["settings"], context.work / "checkpoint.json"
@@ -100,7 +101,7 @@ def study(home: Path, log: Path, **start: Any) -> Study:
     return Study(specification(log, **start), open_journal(home / "optuna" / "journal.log"))
 
 
-def run(home: Path, log: Path, trials: int, **kind: Any) -> Outcome:
+def run(home: Path, log: Path, trials: int, **kind: Any) -> SearchOutcome:
     """A whole search by a new driver, in this process."""
     notes = kind.pop("notes", [])
     tracker = kind.pop("tracker", NullTrials())
