@@ -47,7 +47,8 @@ COMMON_HELP = """\
   runner.device=auto              or cpu, cuda; auto takes a GPU where there is one
   runner.gpu_share=0.5            share of a GPU that a task takes
 
-Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE.
+Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE, except
+those below `dataset`, which stand in conf/dataset.
 """
 """The end of the help of every door that runs nodes."""
 

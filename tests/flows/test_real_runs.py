@@ -26,8 +26,8 @@ def test_bcq_and_wsbc_beat_a_bad_log_and_its_clone(tmp_path: Path) -> None:
     So with a critic, a swarm or an ensemble that learns nothing, policies stay where the clone is.
     60 s on one core (of a shared virtual computer), where all this was measured. Means over the
     last half of the snapshots (deviation of the five seeds): the log -208, the clone -214 (8), BCQ
-    -184 (4), WSBC -94 (9); with data.seed 1 and 2 the log -212 and -212, the clone -220 (3) and -226 (5),
-    WSBC -104 (13) and -113 (10).
+    -184 (4), WSBC -94 (9); with data.seed 1 and 2 the log -212 and -212, the clone -220 (3) and
+    -226 (5), WSBC -104 (13) and -113 (10).
 
     By t-tests with four degrees of freedom, the chance that five other seeds do not lead by what is
     asked for is for WSBC below one in a thousand on all three logs (it leads by 114, 108 and 98,
