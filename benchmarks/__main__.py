@@ -11,14 +11,14 @@ from benchmarks import (
     robots,
     wsbc,
 )
-from benchmarks.measure import machine
+from benchmarks.measure import computer
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Print the machine and a Markdown table per benchmark, each as soon as it is known."""
-    print(machine(), flush=True)
+    """Print a line about the computer and a Markdown table per benchmark, each when it is known."""
+    print(computer(), flush=True)
     reports = {
         "Industrial Benchmark": environment.report,
         "Robots": robots.report,

@@ -1,4 +1,4 @@
-"""How long the recurrent ensemble takes to reference quality on `mediocre-1.0`.
+"""Time that the recurrent ensemble takes to reference quality on `mediocre-1.0`.
 
 `python -m benchmarks.ensemble_quality [--threads 2]`. The reference artefacts of the thesis's
 authors reach a held-out normalised squared error of about 0.040 (fatigue) and 0.005 (consumption),
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from components.core.random_streams import lane_key
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
@@ -45,7 +45,7 @@ def first_good(curves: dict[str, Sequence[Series]], wanted: dict[str, float]) ->
 
 
 def report(device: str = "cpu", config: RecurrentEnsembleConfig | None = None) -> str:
-    """Fit once and tell when it was good enough; a Markdown table.
+    """Fit once and say when it was good enough; a Markdown table.
 
     Args:
         device: Where to train.
@@ -91,7 +91,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     print(report(options.device))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 `python -m benchmarks.environment [--copies 1000] [--seconds 2]` prints a table of steps per second.
 Both run on one core with actions prepared beforehand; of several repetitions the best counts, since
-other work on the machine can only slow a repetition down.
+other work on the computer can only slow a repetition down.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from benchmarks.scalar_industrial_benchmark import (
     GeneratorDraws,
     ScalarIndustrialBenchmark,
@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="budget of each measurement")
     options = parser.parse_args()
     print(report(options.copies, options.seconds))
-    print(f"\n{machine()}; one core used, NumPy {np.__version__}")
+    print(f"\n{computer()}; one core used, NumPy {np.__version__}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.core.random_streams import lane_key
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import ROBOTS
@@ -201,7 +201,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     options = parser.parse_args()
     print(report(options.robot, options.repetitions, options.steps))
-    print(f"\n{machine()}")
+    print(f"\n{computer()}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""What stacking seeds buys: five lanes in one program against five programs of one lane.
+"""Speed of stacked seeds: five lanes in one program against five programs of one lane.
 
 `python -m benchmarks.lanes [--device cpu] [--repetitions 3]`. Both train at the thesis's sizes on
 the same dataset; the five programs take turns, update by update, in one process, so neither
 start-up nor loading counts against them. On a GPU both replay their updates as CUDA graphs, and a
-third row shows what that buys. LION's behaviour policy and transition ensemble are
-freshly initialised: their weights do not change the amount of work.
+third row runs without graphs. LION's behaviour policy and transition ensemble are not trained:
+their weights do not change the amount of work.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from benchmarks.recurrent import FATIGUE_ALONE
 from components.algorithms import ALGORITHMS
 from components.algorithms.parts.learner import LearnerInputs
@@ -101,7 +101,7 @@ def _ensemble(dataset: OfflineDataset) -> RecurrentEnsemble:
 UNTRAINED: Mapping[str, Callable[[OfflineDataset], object]] = MappingProxyType(
     {"behaviour_policy": _behaviour, "recurrent_ensemble": _ensemble}
 )
-"""Models as they begin, of the usual sizes, by name."""
+"""Untrained models of the usual sizes, by name."""
 
 
 def _updates(learners: Sequence[Learner], count: int) -> Callable[[], None]:
@@ -173,7 +173,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing side by side, Markdown tables, a line about the machine."""
+"""What the benchmarks share: timing side by side, Markdown tables, a line about the computer."""
 
 import datetime
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-__all__ = ["machine", "markdown", "median_seconds", "processor"]
+__all__ = ["computer", "markdown", "median_seconds", "processor"]
 
 
 def median_seconds(
@@ -18,7 +18,7 @@ def median_seconds(
 ) -> dict[str, float]:
     """Median seconds of each run, after one warm-up.
 
-    The runs take turns, so that other work on the machine slows all of them down alike and their
+    The runs take turns, so that other work on the computer slows all of them down alike and their
     ratios stay meaningful. Work queued on a GPU is waited for.
 
     Args:
@@ -71,7 +71,7 @@ def processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def machine(device: str = "cpu") -> str:
+def computer(device: str = "cpu") -> str:
     """One line: processor, cores, threads, versions, date; the GPU if one was used."""
     used = f", {torch.cuda.get_device_name(device)}" if device.startswith("cuda") else ""
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()

@@ -10,8 +10,8 @@ state is timed: past the warm-ups of BEAR and CQL.
 A step of d3rlpy is what its `fit` does without logger and progress bar. It samples from a table of
 stacked histories, ours gathers them from the frames. Both draw their own random numbers, ours for
 50 steps at once: the clock starts with such a draw, so ours pays for at least as many as it uses.
-Where the two implement an algorithm differently (d3rlpy's CQL bootstraps from the mean action, its
-BEAR steps a temperature that is switched off) each does what it does.
+Where the two implement an algorithm differently, each keeps its own way: d3rlpy's CQL bootstraps
+from the mean action, and its BEAR updates a temperature that is switched off.
 """
 
 import argparse
@@ -32,7 +32,7 @@ import numpy as np
 import torch
 
 from benchmarks.lanes import program
-from benchmarks.measure import machine, markdown
+from benchmarks.measure import computer, markdown
 from benchmarks.peer_d3rlpy import COUNTERPARTS
 from components.algorithms import ALGORITHMS
 from components.data.batches import LaneData
@@ -81,7 +81,7 @@ def available(peer: Path = PEER) -> bool:
 
 
 def missing(peer: Path = PEER) -> str:
-    """What to do where there is none."""
+    """How to install d3rlpy where it is missing."""
     return f"There is no Python with d3rlpy at {peer}; `make peers` installs one in .venv-peers."
 
 
@@ -133,7 +133,7 @@ def own_seconds(
 
 
 def _serve(request: Mapping[str, Any]) -> None:
-    """Measure what another process of this program asks for; the answer is a line of JSON."""
+    """Measure what another process requests; print the answer as a line of JSON."""
     torch.set_num_threads(request["threads"])
     keep_freed_memory()
     dataset = OfflineDataset.open(Path(request["dataset"]))
@@ -142,7 +142,7 @@ def _serve(request: Mapping[str, Any]) -> None:
 
 
 def own_command(dataset: Path, algorithm: str, lanes: int, updates: int, threads: int) -> list[str]:
-    """What measures our learner, with its default settings, on a stored dataset."""
+    """The command that measures our learner, with its default settings, on a stored dataset."""
     request = {
         "dataset": str(dataset),
         "algorithm": algorithm,
@@ -154,7 +154,7 @@ def own_command(dataset: Path, algorithm: str, lanes: int, updates: int, threads
 
 
 def peer_command(peer: Path, data: Path, algorithm: str, updates: int, threads: int) -> list[str]:
-    """What measures d3rlpy, with our default settings, on stored transitions."""
+    """The command that measures d3rlpy, with our default settings, on stored transitions."""
     settings = {"algorithm": algorithm, **asdict(ALGORITHMS[algorithm].config())}
     script = Path(__file__).with_name("peer_d3rlpy.py")
     counts = {"--threads": threads, "--updates": updates, "--warm-up": WARM_UP}
@@ -281,8 +281,8 @@ def main() -> None:
     except (FileNotFoundError, RuntimeError, ValueError) as error:
         print(error, file=sys.stderr)
         raise SystemExit(2) from None
-    torch.set_num_threads(options.threads)  # for the line about the machine
-    print(f"\n{machine()}")
+    torch.set_num_threads(options.threads)  # for the line about the computer
+    print(f"\n{computer()}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a node of the pipeline costs when its task does nothing.
+"""Overhead of the pipeline per node, measured with a task that does nothing.
 
 `python -m benchmarks.pipeline [--nodes 40] [--repetitions 3]`. Half of the nodes read the other
 half; everything runs in this process, one after the other. Besides the serial runner that means a
@@ -18,7 +18,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.core.files import write_json
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node, Plan
@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.nodes, options.repetitions))
-    print(f"\n{machine()}")
+    print(f"\n{computer()}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the stacked scan buys: one training pass of the transition ensemble, against a plain loop.
+"""Speed of the stacked scan: a training pass of the transition ensemble against a plain loop.
 
 `python -m benchmarks.recurrent [--device cpu] [--repetitions 3]`. A pass is prediction, loss and
 gradients of all networks at the window sizes of the ensemble's default configuration. The plain
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.models.recurrent_ensemble.ensemble import (
     Feedback,
     RecurrentEnsembleConfig,
@@ -34,7 +34,7 @@ __all__ = [
 KNOWN = 4
 """Known features of the Industrial Benchmark."""
 FATIGUE_ALONE = Feedback.stored(torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1))
-"""There the networks of fatigue read their own values back, those of consumption do not."""
+"""The networks of fatigue read their own predictions back, those of consumption do not."""
 
 
 class PlainNetwork(nn.Module):
@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
 from components.environments.mujoco.specifications import ROBOTS, simulator_version
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=3)
     options = parser.parse_args()
     print(report(options.copies, options.episodes, options.repetitions))
-    print(f"\n{machine()}; {simulator_version()}")
+    print(f"\n{computer()}; {simulator_version()}")
 
 
 if __name__ == "__main__":

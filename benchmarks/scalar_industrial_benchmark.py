@@ -1,4 +1,4 @@
-"""The Industrial Benchmark as a plain scalar Python loop: what the vectorised one is measured by.
+"""The Industrial Benchmark as a plain scalar Python loop, to compare the vectorised one with.
 
 One machine, one step at a time, written the way the equations read, with one draw per random
 number. `ScalarIndustrialBenchmark` calls NumPy's functions on single numbers, which is how such

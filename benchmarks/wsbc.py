@@ -1,11 +1,11 @@
-"""What batching a swarm buys: an iteration of WSBC, against its particles evaluated one at a time.
+"""Speed of a batched swarm: an iteration of WSBC against its particles one at a time.
 
 `python -m benchmarks.wsbc [--device cpu] [--threads 2] [--repetitions 3]`, at the thesis's sizes.
 The plain loop is how the fitness of one policy is commonly written in PyTorch: its trajectories are
 one batch, but every network of the ensemble is called on its own, histories are joined anew at
 every step and the recorded frames before the start are run through again. Some particles are timed
-and the iteration reckoned from them. Both compute the same returns; the tests hold them against
-each other.
+and the time of the iteration is computed from them. Both compute the same returns; the tests
+compare the two.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.lanes import UNTRAINED, program
-from benchmarks.measure import machine, markdown, median_seconds
+from benchmarks.measure import computer, markdown, median_seconds
 from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config
 from components.data.batches import LaneData
@@ -51,7 +51,7 @@ def plain_return(
     Args:
         policy: A single one.
         ensemble: Its transition ensemble.
-        rule: What is known of the machine.
+        rule: The known dynamics of the machine.
         start: `[S, H, F]` raw frames of the start states, newest first.
         horizon: Steps.
         discount: gamma.
@@ -158,7 +158,7 @@ def report(
     columns = ["iteration", "s", f"minutes for {config.updates}", "times faster per lane"]
     return markdown(columns, table) + (
         f"\n\n{config.particles} particles, {len(rows)} start states, {config.horizon} steps, "
-        f"{ensemble.members} pairs of networks, float32. Minutes are reckoned from iterations, "
+        f"{ensemble.members} pairs of networks, float32. Minutes are computed from iterations, "
         f"and those of the plain loop from {timed} particles."
     )
 
@@ -172,7 +172,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     print(report(options.device, options.repetitions))
-    print(f"\n{machine(options.device)}")
+    print(f"\n{computer(options.device)}")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ _WIDTH, _HEIGHT, _GAP, _LANE, _RISE, _MARGIN = 132, 46, 26, 6, 96, 24
 _COLOURS = {"components": ("#e8f0fa", "#3b6ea5"), "flows": ("#fbf0e2", "#b0722b")}
 
 _DIVIDED = ["components", "data"]
-"""Shown with its inner rooms: what runs the real systems is apart from what learners read."""
+"""Shown with its inner rooms: what runs the real systems is separate from what learners read."""
 
 Edges = Mapping[str, set[str]]
 
@@ -54,12 +54,12 @@ def arrows() -> dict[str, set[str]]:
     for top in _COLOURS:
         for path in sorted((ROOT / top).rglob("*.py")):
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-            if name == top and not path.read_text(encoding="utf-8").strip():
+            if name == "components":  # only a docstring; its rooms are drawn
                 continue
             own = room(name)
             others = {room(module) for module in imports(path.read_text(encoding="utf-8"))}
             found.setdefault(own, set()).update(others - {own, "components"})
-    # a task function is named in the plan, not imported by it; doors are imported by nobody
+    # a plan names a task function and does not import it; doors are imported by no module
     return {name: targets - {DOORS} for name, targets in found.items()}
 
 
@@ -84,7 +84,7 @@ def _reach(edges: Edges, start: str) -> set[str]:
 
 
 def rows(edges: Edges) -> list[list[str]]:
-    """Rooms from the roof down: every room stands below all that import it, as high as it can."""
+    """Rooms by row, the top row first: every room is in the row below its lowest importer."""
     importers = {name: [o for o in edges if name in edges[o]] for name in edges}
     depth: dict[str, int] = {}
 

@@ -2,10 +2,11 @@
 
 In: settings of ``conf/`` and the command line. Out: a store of artifacts, their record, reports.
 Between them: ``configuration`` reads settings, ``planning`` makes plans of them, ``pipeline``
-computes plans with the functions of ``tasks``; ``tuning`` searches settings of models.
+computes plans with the functions of ``tasks``, ``report`` shows the results; ``tuning`` searches
+settings of models.
 
-Importing this package, which every door and every worker does before anything heavy, settles what
-native libraries read once: one thread per process unless a task asks for more (two processes with
+Every door and every worker imports this package before anything heavy. The import sets what native
+libraries read once: one thread per process unless a task asks for more (two processes with
 two spinning OpenMP threads each on two cores run a hundred times slower than one), and no
 telemetry.
 """

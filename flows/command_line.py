@@ -1,4 +1,4 @@
-"""What all doors share: settings from the command line, store, tracker, one sentence on error."""
+"""What all doors share: settings from the command line, store, tracker, errors in one sentence."""
 
 import shlex
 import sys
@@ -24,8 +24,9 @@ from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
 
 __all__ = [
+    "COMMON_HELP",
     "Metrics",
-    "Report",
+    "ReportWriter",
     "command_words",
     "main",
     "make_executor",
@@ -34,8 +35,25 @@ __all__ = [
     "run_sweep",
 ]
 
+COMMON_HELP = """\
+  dry_run=true                    show the plan and stop
+  show_settings=true              print every setting as YAML and stop
+  sweep=NAME                      name of the sweep in the tracker and in STORE/reports
+  store=mlruns                    folder of everything that is kept
+  runner.executor=ray             or serial: everything in this process, for debugging
+  runner.tracker=mlflow           or file: JSON lines in STORE/tracking; or none
+  runner.cpus=2                   processors to use; all by default
+  runner.threads=1                threads of a task
+  runner.device=auto              or cpu, cuda; auto takes a GPU where there is one
+  runner.gpu_share=0.5            share of a GPU that a task takes
+
+Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE, except
+those below `dataset`, which stand in conf/dataset.
+"""
+"""The end of the help of every door that runs nodes."""
+
 Loaded = TypeVar("Loaded")
-Report = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
+ReportWriter = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
 def main(
@@ -50,7 +68,7 @@ def main(
         door: Its name.
         help_text: Its help.
         body: Its work.
-        aliases: Short keys of its command line and what they stand for.
+        aliases: Short keys of its command line and the full keys they stand for.
     """
 
     def shown_or_done(settings: Settings) -> int:
@@ -73,7 +91,7 @@ def run_door(
     Args:
         door: Its name.
         help_text: Its help.
-        load: From the words of the command line to settings.
+        load: Makes settings of the words of the command line.
         body: Its work.
     """
     arguments = sys.argv[1:]
@@ -94,7 +112,7 @@ def run_door(
         print(f"{door}: {error}", file=sys.stderr)
         code = 1
     except KeyboardInterrupt:
-        print(f"{door}: interrupted; the same command continues.", file=sys.stderr)
+        print(f"{door}: interrupted; give the same command again to continue.", file=sys.stderr)
         code = 130
     sys.exit(code)
 
@@ -140,7 +158,7 @@ def run_sweep(
     settings: Settings,
     name: str,
     plan: Plan,
-    report: Report,
+    report: ReportWriter,
     params: Mapping[str, str] | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
@@ -157,7 +175,7 @@ def run_sweep(
         The exit code.
     """
     store = ArtifactStore(settings.store, create=not settings.dry_run)
-    # What a dry run prints is its result.
+    # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")

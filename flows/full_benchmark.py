@@ -4,31 +4,41 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.command_line import Metrics, main, run_sweep
+from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.report.report import write_report
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.full_benchmark [KEY=VALUE ...]
 
 Generate datasets, fit models, train policies, evaluate them in the real environment, aggregate and
-report. Everything finished is kept under mlruns/ and reused; the same command continues a sweep.
+report. Everything finished is kept under mlruns/ and reused. To continue a sweep that was stopped,
+give the same command again.
 
-  profile=smoke|quick|paper    budgets and selection; paper is the default
-  datasets=[a,b]               names in conf/dataset, or all
-  algorithms=[a,b]             names in components/algorithms, or all
-  seeds=[0,1]                  whole numbers
-  models=tuned                 fit models with the settings that flows.tune_models has found
-  models.per_seed=true         one fit of every model per policy seed instead of one for all
-  mopo_penalties=sweep         one MOPO policy per penalty 0, 0.1 ... 2.5; or a list of numbers
-  dry_run=true                 show the plan and stop
-  show_settings=true           print every setting and stop
-  sweep=NAME                   name of the sweep and its report folder
-  algorithm.NAME.KEY=VALUE     any setting, e.g. algorithm.lion.updates=200
-"""
+  profile=smoke|quick|paper       budgets and selection; paper is the default
+  datasets=[a,b]                  names in conf/dataset, or all
+  algorithms=[a,b]                names in components/algorithms, or all
+  seeds=[0,1]                     whole numbers
+  algorithm.NAME.KEY=VALUE        a setting of an algorithm, e.g. algorithm.lion.updates=200
+  model.NAME.KEY=VALUE            a setting of a model, e.g. model.behaviour_policy.epochs=20
+  models=tuned                    fit models with the settings that flows.tune_models has found
+  models.per_seed=true            one fit of every model per policy seed instead of one for all
+  models.folder=conf/tuned        folder of the tuned settings
+  mopo_penalties=sweep            one MOPO policy per penalty 0, 0.1 ... 2.5; or a list of numbers
+  data.seed=0                     of data generation, not of the learners
+  data.trajectories=100           of an Industrial Benchmark dataset
+  data.steps=1000                 per trajectory; of a robot at most
+  data.transitions=1000000        of a robot dataset
+  training.snapshots=20           policies kept per run
+  evaluation.trajectories=10      per policy
+  evaluation.horizon=100          steps per trajectory
+  evaluation.proximity_step=0.05  distance of the proximities at which policies are evaluated
+  aggregation.pool_fraction=0.1   last share of the snapshots that enters the table
+  runner.stack=pair               or algorithm: one program trains an algorithm on all datasets
+{COMMON_HELP}"""
 
 
 def _run(settings: Settings) -> int:

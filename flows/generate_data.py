@@ -1,4 +1,4 @@
-"""Datasets alone: ``python -m flows.generate_data datasets=[mediocre-0.2]``; no argument makes all.
+"""Datasets alone: ``python -m flows.generate_data datasets=[mediocre-0.2]``; all by default.
 
 Every dataset is also exported in Minari's HDF5 format below ``mlruns/minari``, so that other tools
 can load it: ``MINARI_DATASETS_PATH=mlruns/minari python -c "import minari; ..."``.
@@ -9,28 +9,27 @@ from pathlib import Path
 from components.core.files import read_json, write_json
 from components.data.dataset import OfflineDataset
 from components.data.sources.minari_exchange import export_minari, minari_id
-from flows.command_line import Metrics, main, run_sweep
+from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import data_plan, sweep_name
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.generate_data [KEY=VALUE ...]
 
-Generate datasets and export them for Minari. No argument makes all nineteen.
+Generate datasets and export them for Minari, into mlruns/minari.
 
-  datasets=[a,b]      names in conf/dataset
-  data.seed=0         of the generation; equal seeds give equal bytes
-  data.trajectories=100 data.steps=1000     of the Industrial Benchmark
-  data.transitions=1000000                  of a robot
-  dry_run=true        show what would be made and stop
-  show_settings=true  print every setting and stop
-"""
+  datasets=[a,b]                  names in conf/dataset, or all; all is the default
+  data.seed=0                     of the generation; equal seeds give equal bytes
+  data.trajectories=100           of an Industrial Benchmark dataset
+  data.steps=1000                 per trajectory; of a robot at most
+  data.transitions=1000000        of a robot dataset
+{COMMON_HELP}"""
 
 
 def _export(dataset: OfflineDataset, root: Path) -> str:
-    """Export once per digest; a record beside the datasets says what is there."""
+    """Export a dataset unless `digests.json` says that the same content has been exported."""
     record = root / "digests.json"
     known = read_json(record) or {}
     name = minari_id(dataset.card.name)

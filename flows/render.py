@@ -17,7 +17,7 @@ from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
 from components.policies.policy import Policy
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, Strict, build_config
+from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 
@@ -28,22 +28,22 @@ usage: python -m flows.render run=ID out=FILE [KEY=VALUE ...]
 
 Film a stored policy of a robot, drawn without a screen by EGL or OSMesa. The last snapshot acts.
 
-  run=ID        id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
-                e.g. td3_bc/hopper/seed0
-  out=FILE      walker.mp4 or walker.gif
-  proximity=0.5 for policies that take it, from 0 to 1
-  steps=1000    at most; a fall ends the film
-  seed=0        of the start
-  size=480      pixels, a multiple of 16
-  store=mlruns  folder of the runs
+  run=ID         id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
+                 e.g. td3_bc/hopper/seed0
+  out=FILE       a file that ends in .mp4 or .gif, e.g. walker.mp4
+  proximity=0.5  for policies that take it, from 0 to 1
+  steps=1000     at most; a fall ends the film
+  seed=0         of the start state
+  size=480       of the picture in pixels, a multiple of 16
+  store=mlruns   folder of the runs
 """
 
 _TRAINING = "policy_training"
-_FORMER_WORDS = {"lambda": "proximity"}
-"""Words of older command lines, such as those in stored reports."""
+_FORMER_KEYS = {"lambda": "proximity"}
+"""Old keys that stored reports name, and the keys of today."""
 
 
-class RenderSettings(Strict):
+class RenderSettings(StrictModel):
     """What to film and where to write it."""
 
     run: str = Field(min_length=1)
@@ -66,7 +66,7 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
         key, equals, value = word.partition("=")
         if not equals or not key:
             raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. seed=1.")
-        fields[_FORMER_WORDS.get(key, key)] = value
+        fields[_FORMER_KEYS.get(key, key)] = value
     for name in ("run", "out"):
         if name not in fields:
             raise SettingsError(f"{name}= is missing; write run=ID out=FILE, e.g. out=walker.mp4.")
@@ -100,7 +100,7 @@ def find_policy(store: ArtifactStore, run: str) -> dict[str, Any]:
         raise SettingsError(f"run={run} is the name of several runs; give one of the keys {keys}.")
     if records[0]["component"] != _TRAINING:
         raise SettingsError(
-            f"run={run} is no policy but a run of {records[0]['component']}; give a run of "
+            f"run={run} is not a policy but a run of {records[0]['component']}; give a run of "
             f"{_TRAINING}."
         )
     return records[0]

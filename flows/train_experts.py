@@ -1,6 +1,6 @@
 """Experts of the robots: ``python -m flows.train_experts robots=[swimmer] seeds=[0,1,2,3]``.
 
-Online training on the real system, to generate data with; no offline learner has a part in it. All
+This is online training on the real system, for data generation; no offline learner takes part. All
 seeds of a robot train side by side as lanes of one program; the best of them, by its evaluations
 during training, becomes the expert.
 """
@@ -8,29 +8,28 @@ during training, becomes the expert.
 from pathlib import Path
 
 from components.data.controllers.trained.shipped import SHIPPED, Expert
-from flows.command_line import Metrics, main, run_sweep
+from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import sweep_name
 from flows.planning.experts import expert_plan
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.train_experts [KEY=VALUE ...]
 
 Train the controllers that log the robot datasets: DDPG on the robots themselves, all seeds of a
-robot together, for hours. The same command continues a training, also a killed one.
+robot together, for hours. To continue a training that was stopped, give the same command again.
 
-  robots=[a,b]                 swimmer, hopper, walker2d, or all
-  seeds=[0,1,2,3]              whole numbers; the best seed becomes the expert
-  steps=1000000                environment steps per seed
-  physics=v3|v5                of the robots; v3, as in the thesis, is the default
-  install=true                 put the experts where dataset generation looks for them
-  experts.training.KEY=VALUE   any other setting, e.g. experts.training.exploration=0.2
-  profile=smoke                a training of seconds, for tests
-  show_settings=true           print every setting and stop
-  dry_run=true                 show the plan and stop
-"""
+  profile=smoke                   a training of seconds, for tests; paper is the default
+  robots=[a,b]                    swimmer, hopper, walker2d, or all
+  seeds=[0,1,2,3]                 whole numbers; the best seed becomes the expert
+  steps=1000000                   environment steps per seed
+  physics=v3|v5                   of the robots; v3, as in the thesis, is the default
+  install=true                    put the experts where dataset generation looks for them
+  experts.episodes=100            episodes that evaluate the chosen expert
+  experts.training.KEY=VALUE      a setting of the training, e.g. experts.training.exploration=0.2
+{COMMON_HELP}"""
 
 ALIASES = {
     "robots": "experts.robots",

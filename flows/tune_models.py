@@ -1,8 +1,7 @@
 """Hyperparameter search: ``python -m flows.tune_models datasets=[mediocre-0.2] trials=30``.
 
-Searches the settings of supervised models on held-out trajectories. This door only wires: datasets
-are generated first if they are missing; the search itself, :mod:`flows.tuning`, knows no
-environment.
+Searches the settings of supervised models on held-out trajectories. Missing datasets are generated
+first; the search itself, :mod:`flows.tuning`, imports no environment.
 """
 
 import shlex
@@ -10,49 +9,47 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from flows.command_line import command_words, main, make_executor, run_sweep
+from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import check_model, data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
 from flows.tuning.mlflow_trials import MlflowTrials
-from flows.tuning.results import lowest_losses, verdict, winner
+from flows.tuning.results import best_losses, comparison, tuned_model
 from flows.tuning.search import search
 from flows.tuning.study import Study, ended_trials, open_journal
 from flows.tuning.trials import NullTrials, Trials
 from flows.tuning.tuned_file import write_tuned
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.tune_models [KEY=VALUE ...]
 
 Search architecture, learning rate, schedule, weight decay, batch and, where a model has them,
 history and target form of supervised models, on held-out trajectories. The first trial is the
-default configuration. Everything is kept under mlruns/; the same command continues a search, also a
-killed one, and a larger number of trials extends it.
+default configuration. Everything is kept under mlruns/. To continue a search that was stopped, give
+the same command again; a larger number of trials extends a search.
 
-  datasets=[a,b]               names in conf/dataset, or all
-  models=[a,b]                 names in components/models, or all; recurrent_ensemble is the default
-  trials=30                    per dataset and model
-  model.NAME.KEY=VALUE         where the search of a model starts, e.g. model.action_vae.epochs=20
-  models.folder=conf/tuned     where the winners are written, as DATASET/MODEL.yaml
-  profile=smoke|quick|paper    budgets of the fits and selection of datasets; paper is the default
-  dry_run=true                 show what would be searched and stop
-  show_settings=true           print every setting and stop
+Use the best settings: python -m flows.full_benchmark models=tuned
+Look at the trials:    pip install '.[dashboard]', then optuna-dashboard mlruns/optuna/journal.log;
+                       in MLflow (python -m flows.ui) they are runs with the tags study and trial.
 
-Use the winners:  python -m flows.full_benchmark models=tuned
-Look at a search: pip install optuna-dashboard, then optuna-dashboard mlruns/optuna/journal.log;
-                  in MLflow (python -m flows.ui) every trial is a run with the tags study and trial.
-"""
+  profile=smoke|quick|paper       budgets and selection of datasets; paper is the default
+  datasets=[a,b]                  names in conf/dataset, or all
+  models=[a,b]                    names in components/models, or all; recurrent_ensemble by default
+  trials=30                       per dataset and model
+  model.NAME.KEY=VALUE            where its search starts, e.g. model.action_vae.epochs=20
+  models.folder=conf/tuned        where the best settings are written, as DATASET/MODEL.yaml
+{COMMON_HELP}"""
 
 ALIASES = {"models": "tuning.models", "trials": "tuning.trials"}
 
 
 def _generate(settings: Settings, plan: Plan, store: ArtifactStore) -> int:
-    """Make the datasets that are missing; the only step that needs the real system."""
+    """Generate the datasets that are missing; the only step that needs the real system."""
     if all(store.complete(node.key) for node in plan):
         return 0
     return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, lambda outcome: ([], {}))
@@ -74,9 +71,9 @@ def _journal(settings: Settings) -> Path:
 
 
 def _run(settings: Settings) -> int:
-    found = search_subjects(settings)
-    for subject in found:
-        check_model(settings, subject.dataset, subject.start)
+    found = study_specifications(settings)
+    for specification in found:
+        check_model(settings, specification.dataset, specification.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:
@@ -87,7 +84,7 @@ def _run(settings: Settings) -> int:
     if code:
         return code
     console = Display()
-    name = settings.sweep or f"tune-{digest([subject.name for subject in found], 4)}"
+    name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
     command = shlex.join(["python", *command_words()])
     console.note(f"Search {name} in {settings.store}/; journal {_journal(settings)}")
     tracker = _make_trials(settings)
@@ -102,17 +99,17 @@ def _run(settings: Settings) -> int:
     )
     status = "FAILED"
     files: list[Path] = []
-    verdicts: dict[str, str] = {}
+    comparisons: dict[str, str] = {}
     studies: list[Study] = []
     try:
         journal = open_journal(_journal(settings))
-        studies = [Study(subject, journal) for subject in found]
+        studies = [Study(specification, journal) for specification in found]
 
         def finished(study: Study) -> None:
-            tuned = winner(study, store)
+            tuned = tuned_model(study, store)
             if tuned is not None:
                 files.append(write_tuned(tuned_folder(settings), tuned))
-                verdicts[study.name] = f"{verdict(tuned)}; {files[-1]}"
+                comparisons[study.name] = f"{comparison(tuned)}; {files[-1]}"
 
         outcome = search(
             studies,
@@ -126,8 +123,8 @@ def _run(settings: Settings) -> int:
         status = outcome.status
     finally:
         with suppress(KeyboardInterrupt):
-            tracker.close(status, files, lowest_losses(studies))
-    for line in verdicts.values():
+            tracker.close(status, files, best_losses(studies))
+    for line in comparisons.values():
         print(line)
     _explain(console, command, outcome.interrupted, outcome.failed, outcome.unrecorded)
     return outcome.exit_code
@@ -139,7 +136,7 @@ def _explain(
     if interrupted:
         console.note(f"Interrupted; nothing finished is lost. Continue with: {command}")
     for study in failed:
-        console.note(f"No trial of {study} could be evaluated.")
+        console.note(f"No trial of {study} could be evaluated; the lines above say why.")
     if unrecorded:
         console.note(
             f"Some trials are not in the tracker yet: {unrecorded} Record them with: {command}"

@@ -26,7 +26,7 @@ from benchmarks import (
     wsbc,
 )
 from components.algorithms import ALGORITHMS
-from components.core.random_streams import LaneStreams
+from components.core.random_streams import LaneStreams, lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
@@ -201,7 +201,9 @@ def test_the_plain_loop_of_a_policy_s_return_computes_what_the_swarm_does() -> N
     found = learner.update(0)["policy/virtual_return"]
     policy, ensemble = (lanes.UNTRAINED[n](dataset) for n in ALGORITHMS["wsbc"].needs)
     rule = DynamicsSpecification.of_card(dataset.card)
-    plain = wsbc.plain_return(policy, ensemble, rule, learner._history[0], 5, 0.97)
+    starts = learner._starts([lane_key(dataset.card.name, "wsbc", 0)])
+    [start] = learner._data.raw_histories(starts)
+    plain = wsbc.plain_return(policy, ensemble, rule, start, 5, 0.97)
     # 34 recurrent steps of float32 sums in another order
     torch.testing.assert_close(plain, found[0], rtol=1e-5, atol=0)
 

@@ -1,6 +1,5 @@
-"""What a run is asked to do.
+"""Settings: their schema, and how they are read.
 
-Here are the schema of all settings and the way to them. In come the words of a command line, the
-files of conf/ and the defaults of the components. Out goes a frozen `Settings`, or a
-`SettingsError` whose one sentence says what is wrong and what is valid.
+In: the words of a command line, the files of conf/, the defaults of the components. Out: a frozen
+`Settings`, or a `SettingsError` whose one sentence says what is wrong and what is valid.
 """

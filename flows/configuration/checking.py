@@ -1,7 +1,7 @@
-"""Plain values to checked objects: what does not fit a schema ends in one sentence.
+"""Builds checked objects from plain values; what does not fit ends in one sentence.
 
-A schema is a pydantic model, a typed dictionary or a plain dataclass of a component. All are held
-to the same rules: no unknown keys, no infinite numbers, no truth value where a number belongs.
+A schema is a pydantic model, a typed dictionary or a plain dataclass of a component. The same
+rules hold for all: no unknown keys, no infinite numbers, no boolean where a number belongs.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic_core import ErrorDetails
 from typing_extensions import get_type_hints, is_typeddict
 
-__all__ = ["SettingsError", "Strict", "build_config", "first_line", "hint"]
+__all__ = ["SettingsError", "StrictModel", "build_config", "first_line", "hint"]
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _NO_GROUP = ("model_type", "dict_type", "dataclass_type")
@@ -24,8 +24,8 @@ class SettingsError(ValueError):
     """Something on the command line or in conf/ is wrong; the message is one sentence."""
 
 
-class Strict(BaseModel):
-    """A group of settings: it knows its keys, takes no others and does not change."""
+class StrictModel(BaseModel):
+    """A frozen group of settings that refuses unknown keys and infinite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -53,9 +53,9 @@ def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> A
 
 
 @cache
-def _holder(kind: Any) -> type[Strict]:
-    """A model around a schema: plain dataclasses take its rules over and stay what they are."""
-    return create_model("Holder", __base__=Strict, held=(kind, ...))
+def _holder(kind: Any) -> type[StrictModel]:
+    """A model with one field of a schema's type: plain dataclasses are checked by its rules."""
+    return create_model("Holder", __base__=StrictModel, held=(kind, ...))
 
 
 def _keys(kind: Any) -> dict[str, Any]:
@@ -71,17 +71,17 @@ def _keys(kind: Any) -> dict[str, Any]:
 
 
 def _refuse_booleans(kind: Any, path: str, fields: Any) -> None:
-    """Pydantic would take them for the numbers 0 and 1."""
+    """Refuse booleans where numbers belong: pydantic would read them as 0 and 1."""
     keys = _keys(kind)
     for name, value in fields.items() if isinstance(fields, Mapping) else ():
         where = f"{path}.{name}" if path else str(name)
         if isinstance(value, bool) and keys.get(name, bool) is not bool:
-            raise SettingsError(f"{where}={str(value).lower()}: Input should be no boolean.")
+            raise SettingsError(f"{where}={str(value).lower()}: Input should not be a boolean.")
         _refuse_booleans(keys.get(name), where, value)
 
 
 def _sentence(kind: Any, path: str, error: ErrorDetails) -> str:
-    """What pydantic found wrong, for people."""
+    """Pydantic's error as one sentence."""
     cause = error.get("ctx", {}).get("error")
     if isinstance(cause, SettingsError):
         return str(cause)
@@ -110,6 +110,6 @@ def hint(word: str, valid: Iterable[str]) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """What an error says first; others say much more than people want to read."""
+    """The first line of an error's message."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[0] if lines else type(error).__name__

@@ -1,6 +1,6 @@
-"""Defaults, the files of conf/ and a command line, joined layer by layer.
+"""Merges defaults, the files of conf/ and a command line, layer by layer.
 
-This knows no types: what is joined is checked afterwards, by :mod:`flows.configuration.schema`.
+Nothing is checked against types here; :mod:`flows.configuration.schema` does that afterwards.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,21 +10,21 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from flows.configuration.checking import SettingsError, Strict, build_config, hint
+from flows.configuration.checking import SettingsError, StrictModel, build_config, hint
 from flows.configuration.defaults import component_defaults
 from flows.configuration.files import CONF, names_in, read_file, read_folder
-from flows.configuration.words import modernise
+from flows.configuration.overrides import rename_old_keys
 
-__all__ = ["DEVIATIONS", "base_layers", "joined", "special_settings"]
+__all__ = ["DEVIATIONS", "base_layers", "merged", "special_settings"]
 
 
-class Deviations(Strict):
-    """What a domain or a dataset wants otherwise than the rest.
+class Deviations(StrictModel):
+    """Settings that a domain or a dataset changes for itself.
 
     Attributes:
         algorithm: Settings by algorithm.
         model: Settings by model.
-        model_for: By algorithm, settings of the models that it uses.
+        model_for: By algorithm, settings of the models that it uses, by model.
     """
 
     algorithm: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -33,16 +33,16 @@ class Deviations(Strict):
 
 
 DEVIATIONS = tuple(Deviations.model_fields)
-"""Keys of a dataset's file that say nothing about the data."""
+"""Keys of a dataset's file that change settings of algorithms and models."""
 
 
 @cache
 def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
-    """What holds before the command line; not to be changed by the caller.
+    """The layers below the command line. They are cached: the caller must not change them.
 
     Returns:
-        Defaults of components with the datasets and domains of conf/; and what wins over them:
-        conf/config.yaml with the profile.
+        Defaults of components with the datasets and domains of conf/; and the layer that wins over
+        them, conf/config.yaml with the profile.
 
     Raises:
         SettingsError: There is no such profile, or a file of conf/ is wrong.
@@ -54,14 +54,14 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
             + hint(profile, valid)
         )
     groups = {group: read_folder(CONF / group) for group in ("dataset", "domain")}
-    chosen = joined(
+    chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )
-    return OmegaConf.create(component_defaults() | groups), modernise(chosen)
+    return OmegaConf.create(component_defaults() | groups), rename_old_keys(chosen)
 
 
-def joined(layers: Sequence[DictConfig]) -> DictConfig:
-    """One configuration of several; later layers win."""
+def merged(layers: Sequence[DictConfig]) -> DictConfig:
+    """One configuration made of several; later layers win."""
     return OmegaConf.merge(*layers)  # type: ignore[return-value]
 
 
@@ -72,14 +72,14 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
     dataset over its domain; a later layer wins over all of an earlier one.
 
     Returns:
-        By dataset: `algorithm` and `model`, settings by name; `model_for`, by algorithm those of
-        the models that it wants otherwise.
+        By dataset: `algorithm` and `model`, settings by name; `model_for`, by algorithm the
+        settings of the models that differ for it.
 
     Raises:
-        SettingsError: A dataset names a domain that has no file, or a domain or a dataset says
-            something about algorithms and models that is no group of keys.
+        SettingsError: A dataset names a domain that has no file, or a domain or a dataset changes
+            settings of algorithms and models in something that is not a group of keys.
     """
-    whole: Any = OmegaConf.to_container(joined(layers), resolve=True)
+    whole: Any = OmegaConf.to_container(merged(layers), resolve=True)
     _check_deviations(whole)
     domains = layers[0].domain
     found = {}
@@ -93,8 +93,8 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
                 f"{', '.join(domains)}."
             )
         places = ((), ("domain", domain), ("dataset", name))
-        own = {group: _said_of(group, layers, places) for group in ("algorithm", "model")}
-        wanted = _said_of("model_for", layers, places)
+        own = {group: _merged_group(group, layers, places) for group in ("algorithm", "model")}
+        wanted = _merged_group("model_for", layers, places)
         own["model_for"] = {
             algorithm: {model: own["model"].get(model, {}) | fields for model, fields in of.items()}
             for algorithm, of in wanted.items()
@@ -104,7 +104,7 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
 
 
 def _check_deviations(whole: Mapping[str, Any]) -> None:
-    """See that domains and datasets say things in groups of known keys."""
+    """Check that domains and datasets change settings in groups of known keys."""
     if not isinstance(whole["domain"], Mapping):
         raise SettingsError(
             f"domain={whole['domain']!r} must be a group of keys, e.g. domain.KEY=VALUE."
@@ -118,18 +118,18 @@ def _check_deviations(whole: Mapping[str, Any]) -> None:
             build_config(Deviations, f"dataset.{name}", own)
 
 
-def _said_of(
+def _merged_group(
     group: str, layers: Sequence[DictConfig], places: Sequence[tuple[str, ...]]
 ) -> dict[str, Any]:
-    """What the layers say of a group, at all places of a layer before the next layer's."""
-    said = [_node(layer, (*place, group)) for layer in layers for place in places]
-    merged = OmegaConf.merge({}, *(node for node in said if isinstance(node, DictConfig)))
+    """A group merged from all layers: all places of a layer come before those of the next."""
+    nodes = [_node(layer, (*place, group)) for layer in layers for place in places]
+    merged = OmegaConf.merge({}, *(node for node in nodes if isinstance(node, DictConfig)))
     plain: Any = OmegaConf.to_container(merged, resolve=True)
     return dict(plain)
 
 
 def _node(layer: Any, path: Sequence[str]) -> Any:
-    """What lies at a path, or None; names may hold dots."""
+    """The value at a path, or None; names may contain dots."""
     for part in path:
         layer = layer.get(part) if isinstance(layer, DictConfig) else None
     return layer

@@ -1,7 +1,7 @@
 """The defaults of algorithms, models, evaluation and expert training.
 
-Their dataclasses are the only place where these stand. What is written in conf/ or on a command
-line deviates from them.
+They stand in the dataclasses of the components and nowhere else. The files of conf/ and a command
+line override them.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ MODEL_CONFIGS: Mapping[str, type] = {name: MODELS[name].config for name in sorte
 
 
 def component_defaults() -> dict[str, Any]:
-    """What holds where nobody says otherwise, in the groups of the command line."""
+    """The default of every component setting, in the groups of the command line."""
     return {
         "algorithm": {name: asdict(kind()) for name, kind in ALGORITHM_CONFIGS.items()},
         "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},

@@ -1,4 +1,4 @@
-"""The files of conf/ as they are written."""
+"""Reads the files of conf/."""
 
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,11 @@ def read_file(path: Path) -> DictConfig:
 
 
 def read_folder(folder: Path) -> dict[str, Any]:
-    """What the files of a folder say, by name: each describes one thing, below its own name.
+    """The content of a folder's files by name; the one key of a file is its own name.
 
     Raises:
         SettingsError: A file cannot be read, or its key is not its name. A copy with the key of the
-            original would otherwise win over it without a word.
+            original would otherwise silently replace it.
     """
     found = {}
     for name in names_in(folder):

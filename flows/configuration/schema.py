@@ -1,4 +1,4 @@
-"""One schema of all settings: nested groups whose validation says what is wrong."""
+"""The schema of all settings: nested groups, checked when they are made."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from components.data.sources.source import DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
-from flows.configuration.checking import SettingsError, Strict, build_config
+from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.composition import DEVIATIONS
 from flows.configuration.defaults import ALGORITHM_CONFIGS
 from flows.configuration.files import CONF
@@ -21,9 +21,9 @@ from flows.configuration.sections import (
     ExpertsSettings,
     ModelConfigs,
     ModelsSettings,
-    OwnSettings,
     RunnerSettings,
     Seeds,
+    SpecialSettings,
     TrainingSettings,
     TuningSettings,
     selected,
@@ -34,7 +34,7 @@ __all__ = ["Settings"]
 
 
 def _penalties(chosen: Any) -> tuple[float, ...] | None:
-    """The penalties of one MOPO policy each."""
+    """Checked penalties; MOPO trains a policy for each."""
     if chosen is None:
         return None
     if chosen == "sweep":
@@ -55,7 +55,7 @@ def _folder(store: Any) -> Any:
 
 
 def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
-    """Where a dataset comes from, without what its file says about algorithms and models."""
+    """The source of a dataset, without the settings of algorithms and models in its file."""
     path = f"dataset.{name}"
     if not isinstance(fields, Mapping):
         raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
@@ -69,16 +69,16 @@ def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
     return source
 
 
-class Settings(Strict):
+class Settings(StrictModel):
     """A complete, checked configuration.
 
     Attributes:
         dataset: Source of every dataset of conf/dataset by name, with sizes filled in.
-        mopo_penalties: One MOPO policy for each of these instead of one.
+        mopo_penalties: Penalties for each of which MOPO trains a policy; None for its own alone.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
-        special: Of datasets that want something otherwise, what holds on them.
-        model_words: By model, the first word of the command line that changes a setting of it.
+        special: Settings on the datasets that change some for themselves, by dataset.
+        model_overrides: By model, the first override on the command line of one of its settings.
     """
 
     profile_name: str
@@ -101,13 +101,13 @@ class Settings(Strict):
     show_settings: bool
     algorithm: AlgorithmConfigs
     model: ModelConfigs
-    special: dict[str, OwnSettings]
-    model_words: dict[str, str]
+    special: dict[str, SpecialSettings]
+    model_overrides: dict[str, str]
 
     @field_validator("dataset")
     @classmethod
     def _sources(cls, files: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        if "data" not in info.data:  # which is wrong itself
+        if "data" not in info.data:  # invalid itself
             return {}
         return {n: _source(n, fields, info.data["data"]) for n, fields in files.items()}
 
@@ -119,7 +119,7 @@ class Settings(Strict):
     @field_validator("special", mode="before")
     @classmethod
     def _own_settings(cls, special: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: build_config(OwnSettings, name, own) for name, own in special.items()}
+        return {name: build_config(SpecialSettings, name, own) for name, own in special.items()}
 
     @model_validator(mode="after")
     def _check_penalties(self) -> "Settings":
@@ -142,13 +142,13 @@ class Settings(Strict):
             if updates < self.training.snapshots:
                 raise SettingsError(
                     f"algorithm.{name}.updates={updates} is less than training.snapshots="
-                    f"{self.training.snapshots}; raise the one or lower the other."
+                    f"{self.training.snapshots}; raise the updates or lower the snapshots."
                 )
         return self
 
     @property
     def variants(self) -> dict[str, tuple[str, tuple[float, ...]]]:
-        """By algorithm, one of its settings and the values it takes one after the other."""
+        """By algorithm, the setting that is swept and its values."""
         return {"mopo": ("penalty", self.mopo_penalties)} if self.mopo_penalties else {}
 
     def algorithm_on(self, dataset: str, name: str) -> Any:
@@ -162,6 +162,6 @@ class Settings(Strict):
         return (own.model if own else self.model)[name]
 
     def models_for(self, dataset: str, algorithm: str) -> dict[str, Any]:
-        """Configuration objects of the models that an algorithm wants otherwise, by name."""
+        """Configuration objects of the models that differ for an algorithm, by name."""
         own = self.special.get(dataset)
         return dict(own.model_for.get(algorithm, {})) if own else {}

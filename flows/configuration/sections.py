@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
-from flows.configuration.checking import SettingsError, Strict, hint
+from flows.configuration.checking import SettingsError, StrictModel, hint
 from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
 
 __all__ = [
@@ -19,9 +19,9 @@ __all__ = [
     "ExpertsSettings",
     "ModelConfigs",
     "ModelsSettings",
-    "OwnSettings",
     "RunnerSettings",
     "Seeds",
+    "SpecialSettings",
     "TrainingSettings",
     "TuningSettings",
     "selected",
@@ -47,7 +47,7 @@ def selected(group: str, chosen: Any, valid: Sequence[str]) -> list[str]:
                 + hint(name, valid)
             )
     if len(set(names)) != len(names):
-        raise SettingsError(f"{group}s={names} names one twice.")
+        raise SettingsError(f"{group}s={names} names one twice; give each name once.")
     return names
 
 
@@ -80,13 +80,13 @@ _ModelsOfSome = TypedDict(  # type: ignore[misc]
 )
 
 
-class OwnSettings(Strict):
-    """What holds on a dataset that wants something otherwise than the rest.
+class SpecialSettings(StrictModel):
+    """Settings on a dataset that changes some for itself.
 
     Attributes:
         algorithm: Configuration object of every algorithm, by name.
         model: Configuration object of every supervised model, by name.
-        model_for: By algorithm, configuration objects of the models that it wants otherwise.
+        model_for: By algorithm, configuration objects of the models that differ for it.
     """
 
     algorithm: AlgorithmConfigs
@@ -94,7 +94,7 @@ class OwnSettings(Strict):
     model_for: _ModelsOfSome
 
 
-class DataSettings(Strict):
+class DataSettings(StrictModel):
     """Size and seed of the generated datasets."""
 
     seed: int = Field(ge=0)
@@ -103,20 +103,20 @@ class DataSettings(Strict):
     transitions: int = Field(ge=1)
 
 
-class TrainingSettings(Strict):
-    """What training keeps."""
+class TrainingSettings(StrictModel):
+    """What a training run keeps."""
 
     snapshots: int = Field(ge=1)
 
 
-class AggregationSettings(Strict):
+class AggregationSettings(StrictModel):
     """Which policies enter the table."""
 
     pool_fraction: float = Field(gt=0, le=1)
 
 
-class ExpertsSettings(Strict):
-    """Which experts are trained, and how."""
+class ExpertsSettings(StrictModel):
+    """Which experts are trained and how."""
 
     robots: Annotated[tuple[str, ...], selection("robot", ROBOTS)]
     seeds: Seeds
@@ -126,8 +126,8 @@ class ExpertsSettings(Strict):
     training: ExpertConfig
 
 
-class RunnerSettings(Strict):
-    """How to run; changes no result."""
+class RunnerSettings(StrictModel):
+    """How to run; none of this changes a result."""
 
     executor: Literal["ray", "serial"]
     tracker: Literal["mlflow", "file", "none"]
@@ -138,7 +138,7 @@ class RunnerSettings(Strict):
     stack: Literal["pair", "algorithm"]
 
 
-class ModelsSettings(Strict):
+class ModelsSettings(StrictModel):
     """Which models policies are trained with."""
 
     source: Literal["default", "tuned"]
@@ -146,8 +146,8 @@ class ModelsSettings(Strict):
     folder: Path
 
 
-class TuningSettings(Strict):
-    """What a hyperparameter search searches, and how long."""
+class TuningSettings(StrictModel):
+    """Models and number of trials of a hyperparameter search."""
 
     models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]
     trials: int = Field(ge=1)

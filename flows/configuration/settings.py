@@ -1,4 +1,4 @@
-"""From the words of a command line to settings: `load_settings`."""
+"""Makes settings of a command line: `load_settings`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,9 +7,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from flows.configuration.checking import SettingsError, build_config, first_line
-from flows.configuration.composition import base_layers, joined, special_settings
+from flows.configuration.composition import base_layers, merged, special_settings
+from flows.configuration.overrides import ALIASES, check_keys, parse_overrides, split_overrides
 from flows.configuration.schema import Settings
-from flows.configuration.words import ALIASES, check_keys, parse_words, split_words
 
 __all__ = ["ALIASES", "Settings", "SettingsError", "load_settings"]
 
@@ -24,17 +24,17 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
     Raises:
         SettingsError: Unknown key, name or value; one sentence.
     """
-    profile, words = split_words(overrides, aliases)
+    profile, words = split_overrides(overrides, aliases)
     layers = base_layers(profile)
-    check_keys(words, joined(layers))
+    check_keys(words, merged(layers))
     try:
-        given = parse_words(words)
-        values: Any = OmegaConf.to_container(joined([*layers, given]), resolve=True)
+        given = parse_overrides(words)
+        values: Any = OmegaConf.to_container(merged([*layers, given]), resolve=True)
         values["special"] = special_settings([*layers, given])
     except OmegaConfBaseException as error:
         raise SettingsError(f"{first_line(error)}; write a plain value.") from error
     del values["domain"]  # now part of `special`
-    values["model_words"] = {
+    values["model_overrides"] = {
         word.split(".")[1]: word for word in reversed(words) if word.startswith("model.")
     }
     settings: Settings = build_config(Settings, "", values)

@@ -1,4 +1,4 @@
-"""All settings as people write them, for `show_settings=true`."""
+"""All settings as YAML, for `show_settings=true`."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ __all__ = ["settings_yaml"]
 
 _HEAD = """\
 # Every setting as it is now. On a command line: KEY.KEY=VALUE, e.g. algorithm.lion.updates=200.
-# What a dataset wants otherwise stands below it; it is changed in conf/dataset and conf/domain.
+# Settings that a dataset changes stand below it; change them in conf/dataset and conf/domain.
 """
 
 
 def settings_yaml(settings: Settings) -> str:
     """Every setting, in the groups of the command line; datasets only if they are chosen."""
     shown = settings.model_dump(
-        mode="json", exclude={"special", "model_words", "dataset", "show_settings"}
+        mode="json", exclude={"special", "model_overrides", "dataset", "show_settings"}
     )
     shown["dataset"] = {name: _dataset(settings, name) for name in settings.datasets}
     return _HEAD + yaml.dump(shown, Dumper=_Dumper, sort_keys=False, width=100)
 
 
 def _dataset(settings: Settings, name: str) -> dict[str, Any]:
-    """What a dataset is made of, and what holds on it only."""
+    """The source of a dataset, and the settings that hold on it alone."""
     dumped = settings.model_dump(mode="json", include={"dataset": {name}, "special": {name}})
     found: dict[str, Any] = {k: v for k, v in dumped["dataset"][name].items() if k != "name"}
     own = dumped["special"].get(name)

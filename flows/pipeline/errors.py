@@ -1,4 +1,4 @@
-"""Errors of a sweep that are no fault of a node, each one sentence with its remedy."""
+"""Errors of a sweep rather than of one node, each one sentence with its remedy."""
 
 __all__ = ["PipelineError", "StoreError", "TrackingError"]
 

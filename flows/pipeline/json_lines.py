@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-__all__ = ["append_line", "cut_half_line", "read_lines"]
+__all__ = ["append_line", "read_lines", "remove_partial_line"]
 
 
 def append_line(path: Path, value: Mapping[str, Any]) -> None:
@@ -33,8 +33,8 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
             raise
 
 
-def cut_half_line(path: Path) -> None:
-    """Removes what a kill, a full disk or a power cut left of a last line, if anything."""
+def remove_partial_line(path: Path) -> None:
+    """Removes an incomplete last line, left by a kill, a full disk or a power cut."""
     if not path.exists():
         return
     with path.open("rb+") as file:

@@ -1,8 +1,8 @@
-"""Locks between processes that the kernel gives back when their holder dies.
+"""Locks between processes; the kernel releases them when their holder dies.
 
-Why not the package filelock: on Unix it leaves the lock file behind, and a store would gather one
-per node ever computed; it polls instead of waiting in the kernel; and on a disk that knows no
-`flock` it goes on with a mere file, which a killed process leaves behind for ever.
+The package filelock is not used. On Unix it leaves the lock file behind, and a store would gather
+one per node ever computed; it polls instead of waiting in the kernel; and on a disk without `flock`
+it falls back to a mere file, which a killed process leaves behind for ever.
 """
 
 import fcntl

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from flows.pipeline.plan import Node, Plan
-from flows.pipeline.schedule import CostModel, Group, play
+from flows.pipeline.schedule import CostModel, Group, simulate_schedule
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
 
@@ -130,7 +130,7 @@ class RunState:
         """Seconds until each component is done, for those that are not."""
         now = time.monotonic()
         seconds = {name: self._rest(name, group, now) for name, group in self._left.items()}
-        ends = play(self._left.values(), seconds, self.slots, self._running)
+        ends = simulate_schedule(self._left.values(), seconds, self.slots, self._running)
         last: dict[str, float] = {}
         for name, end in ends.items():
             component = self._left[name].component

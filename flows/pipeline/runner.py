@@ -179,7 +179,7 @@ class _Run:
         for group in ready[: max(0, room)]:
             del self.waiting[group.name]
             self.running[group.name] = group
-            self.store.forget_progress(group.name)
+            self.store.clear_progress(group.name)
             self.executor.submit(
                 GroupCall.of(
                     group.name,
@@ -193,7 +193,7 @@ class _Run:
 
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
-        self.store.forget_progress(group.name)
+        self.store.clear_progress(group.name)
         for key in [key for key in result.failed if self.store.complete(key)]:
             # Published by a worker that died before it returned its result.
             result.finished.append(key)

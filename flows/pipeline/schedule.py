@@ -13,7 +13,7 @@ from typing import Any
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["CostModel", "Group", "form_groups", "play"]
+__all__ = ["CostModel", "Group", "form_groups", "simulate_schedule"]
 
 
 @dataclass(eq=False)
@@ -143,13 +143,13 @@ class CostModel:
         return median(known[-50:]) if known else 1.0
 
 
-def play(
+def simulate_schedule(
     groups: Iterable[Group],
     seconds: Mapping[str, float],
     slots: int,
     started: Collection[str] = (),
 ) -> dict[str, float]:
-    """Simulates the schedule.
+    """Simulates the list schedule.
 
     Args:
         groups: The groups not finished, in an order in which they can run.

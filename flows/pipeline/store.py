@@ -2,7 +2,7 @@
 
     ROOT/nodes/KEY/     a finished artifact: complete if and only if the folder is there
     ROOT/work/GROUP/    checkpoints and half-made outputs of nodes that are computed together
-    ROOT/progress/      reports of running calls, and requests to stop them
+    ROOT/progress/      progress reports of running calls, and requests to stop them
     ROOT/locks/         one lock per node that is being computed
 
 An artifact is made in its work folder and renamed into place, so it is there whole or not at all.
@@ -24,7 +24,7 @@ from flows.pipeline.errors import StoreError
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 
-__all__ = ["ArtifactStore", "Work", "disk_sentence"]
+__all__ = ["ArtifactStore", "Work", "disk_error_message"]
 
 _MEMBERS = "members.json"
 _READY = "ready.json"
@@ -32,7 +32,7 @@ _OUT = "out"
 _OURS = (_MEMBERS, _READY, _OUT)
 
 
-def disk_sentence(error: BaseException, root: Path) -> str | None:
+def disk_error_message(error: BaseException, root: Path) -> str | None:
     """One sentence with the remedy if an error is about the disk, else None."""
     if not isinstance(error, OSError):
         return None
@@ -93,7 +93,7 @@ class ArtifactStore:
                 probe.write_text("a few bytes, to find a full disk before the work starts\n")
                 probe.unlink()
             except OSError as error:
-                sentence = disk_sentence(error, self.root)
+                sentence = disk_error_message(error, self.root)
                 raise StoreError(sentence or f"{self.root} cannot be used: {error}.") from error
 
     # Finished artifacts
@@ -165,8 +165,8 @@ class ArtifactStore:
         """The keys of a work folder that are not yet published."""
         return frozenset(key for key in work.serves if not self.path(key).is_dir())
 
-    def works(self) -> list[Work]:
-        """All readable work folders; others may come and go meanwhile."""
+    def work_folders(self) -> list[Work]:
+        """All readable work folders; other processes may add and remove some meanwhile."""
         found = []
         for folder in sorted(self.work.iterdir()) if self.work.is_dir() else ():
             members = None if folder.name.startswith(".") else read_json(folder / _MEMBERS)
@@ -194,7 +194,7 @@ class ArtifactStore:
         """
         rest = set(keys)
         groups = []
-        for work in sorted(self.works(), key=lambda w: (-len(w.serves), w.path.name)):
+        for work in sorted(self.work_folders(), key=lambda w: (-len(w.serves), w.path.name)):
             unfinished = self.unfinished(work)
             if unfinished and unfinished <= rest:
                 groups.append([key for key in keys if key in unfinished])
@@ -214,7 +214,7 @@ class ArtifactStore:
             a copy of one that was begun for more of them, else a new one.
         """
         wanted = frozenset(keys)
-        works = self.works()
+        works = self.work_folders()
         for work in works:
             if self.unfinished(work) == wanted:
                 return work
@@ -271,7 +271,7 @@ class ArtifactStore:
 
         Work that a living process holds is left alone.
         """
-        for work in self.works():
+        for work in self.work_folders():
             with self.locked(work.serves, wait=False) as held:
                 if held:
                     self.publish_ready(work)
@@ -291,7 +291,7 @@ class ArtifactStore:
         """The file that asks a running call to stop, once it exists."""
         return self._progress / f"{group}.stop"
 
-    def forget_progress(self, group: str) -> None:
+    def clear_progress(self, group: str) -> None:
         """Removes a call's report and stop request, also a half-written report of a killed call."""
         for half in self._progress.glob(f".{group}.json-*"):
             half.unlink(missing_ok=True)

@@ -23,13 +23,13 @@ from typing import Any, cast
 
 from components.core.files import write_json
 
-__all__ = ["FAILURE_FILE", "GivenUp", "Job", "TaskContext", "TaskFunction", "load_task"]
+__all__ = ["FAILURE_FILE", "Job", "StopRequested", "TaskContext", "TaskFunction", "load_task"]
 
 FAILURE_FILE = "failure.txt"
 
 
-class GivenUp(Exception):  # noqa: N818 - a stop on request, no error
-    """Ends a task call that the driver has asked to stop; its nodes neither finish nor fail."""
+class StopRequested(Exception):  # noqa: N818 - a stop on request, no error
+    """Ends a task call that the driver wants stopped; its nodes neither finish nor fail."""
 
 
 @dataclass
@@ -98,21 +98,21 @@ class TaskContext:
             self._write()
 
     def validated(self, fraction: float, loss: float) -> None:
-        """Reports a held-out loss on the way, and ends the call if the driver has asked for that.
+        """Reports an intermediate held-out loss, and ends the call if the driver wants it stopped.
 
         Args:
             fraction: Part of the budget that is spent, between 0 and 1.
             loss: Held-out loss.
 
         Raises:
-            GivenUp: The stop file is there.
+            StopRequested: The stop file is there.
         """
         self._fraction = min(1.0, max(0.0, float(fraction)))
         self._losses.append((self._fraction, float(loss)))
         self._write()
         self.watch()
         if self.stop_file is not None and self.stop_file.exists():
-            raise GivenUp(f"given up at {self._fraction:.0%} of the budget")
+            raise StopRequested(f"stopped at {self._fraction:.0%} of the budget")
 
     def _write(self) -> None:
         if self.progress_file is not None:

@@ -15,8 +15,8 @@ from typing import Any
 
 from components.core.files import write_json
 from flows.pipeline.plan import Node
-from flows.pipeline.store import ArtifactStore, Work, disk_sentence
-from flows.pipeline.task import FAILURE_FILE, GivenUp, Job, TaskContext, load_task
+from flows.pipeline.store import ArtifactStore, Work, disk_error_message
+from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
 
 __all__ = ["GroupCall", "GroupResult", "run_group"]
 
@@ -78,13 +78,13 @@ class GroupResult:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
-        given_up: Keys whose computation the driver has stopped because it needs them no longer.
+        stopped: Keys whose computation the driver has stopped.
     """
 
     group: str
     finished: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
-    given_up: list[str] = field(default_factory=list)
+    stopped: list[str] = field(default_factory=list)
 
 
 def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> GroupResult:
@@ -103,13 +103,13 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
     try:
         with store.locked(keys):
             # Another driver, or a worker of a killed one, may have finished some in the meantime.
-            for work in store.works():
+            for work in store.work_folders():
                 if store.unfinished(work) & set(keys):
                     store.publish_ready(work)
             pending = [node for node in call.nodes if not store.complete(node["key"])]
             if pending:
                 _compute(store, call, pending, result, watch)
-        unmade = {*result.failed, *result.given_up}
+        unmade = {*result.failed, *result.stopped}
         result.finished = [key for key in keys if key not in unmade]
     except KeyboardInterrupt:
         raise
@@ -148,8 +148,8 @@ def _compute(
     started, used = time.time(), _cpu_seconds()
     try:
         task(jobs, context)
-    except GivenUp:
-        result.given_up = keys
+    except StopRequested:
+        result.stopped = keys
         store.discard(work)
         return
     usage = {
@@ -200,12 +200,12 @@ def _describe(out: Path, node: Mapping[str, Any], usage: Mapping[str, Any], shar
 
 def _reason(error: BaseException, store: ArtifactStore) -> str:
     text = "".join(traceback.format_exception(error)).rstrip()
-    sentence = disk_sentence(error, store.root)
+    sentence = disk_error_message(error, store.root)
     if sentence is None and (
         isinstance(error, MemoryError) or "out of memory" in str(error).lower()
     ):
         sentence = (
-            "Memory ran out: let fewer tasks run at once, or make the batch or the lanes smaller."
+            "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
         )
     return f"{text}\n{sentence}" if sentence else text
 

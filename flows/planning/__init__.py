@@ -1,5 +1,5 @@
-"""What has to be computed.
+"""Plans: graphs of nodes, each with everything that decides its result, and a rough cost.
 
-Here settings become plans: graphs of nodes, each with all that decides its result, and a rough
-cost. In come `Settings`; out go plans, which :mod:`flows.pipeline` carries out.
+In: `Settings`, and the settings that a search has found. Out: the plans of the benchmark, of its
+datasets alone, of expert training and of searches, which :mod:`flows.pipeline` computes.
 """

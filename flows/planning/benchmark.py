@@ -22,9 +22,9 @@ __all__ = [
     "benchmark_plan",
     "check_model",
     "data_plan",
+    "jsonable",
     "model_choice",
     "model_node",
-    "plain",
     "sweep_name",
     "variants",
 ]
@@ -39,22 +39,22 @@ COMPONENTS = {
 """The components and the versions of their code; raise one when its results change."""
 
 
-def plain(value: Any) -> Any:
+def jsonable(value: Any) -> Any:
     """JSON-able copy: tuples become lists."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
+        return {str(k): jsonable(v) for k, v in value.items()}
+    return [jsonable(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One of the policies that an algorithm is asked for.
+    """A configuration of an algorithm that the benchmark trains.
 
     Attributes:
         algorithm: Name of the algorithm.
         config: Its configuration object.
         label: Name in tables and run names; the algorithm's own where there is only one variant.
-        tags: What sets it apart, for searches.
+        tags: The setting that distinguishes it, by which trackers find it.
     """
 
     algorithm: str
@@ -64,7 +64,7 @@ class Variant:
 
 
 def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
-    """The policies that an algorithm is asked for: one, or one per value of one of its settings."""
+    """The variants of an algorithm: one, or one per value of the setting that is swept."""
     config = settings.algorithm_on(dataset, algorithm)
     if algorithm not in settings.variants:
         return [Variant(algorithm, config, algorithm)]
@@ -92,7 +92,7 @@ def _data_node(settings: Settings, name: str) -> Node:
         name=f"data/{name}",
         task="flows.tasks.data_generation:generate_dataset",
         version=COMPONENTS["data_generation"],
-        config={"spec": plain(source.identity), "seed": 0 if stored else settings.data.seed}
+        config={"spec": jsonable(source.identity), "seed": 0 if stored else settings.data.seed}
         | ({"ingredients": made_with} if made_with else {}),
         folders={"log": str(source.folder)} if stored else {},
         tags={"dataset": name},
@@ -108,7 +108,7 @@ def model_node(
     seed: int = 0,
     *,
     shared: bool = True,
-    wanted_by: str = "",
+    for_algorithm: str = "",
 ) -> Node:
     """The node that fits a model.
 
@@ -118,17 +118,17 @@ def model_node(
         dataset: Name of the dataset.
         data: The dataset's node.
         seed: Of the fit. Models that all policies of a dataset share have seed 0.
-        shared: Whether they do, or else the fit belongs to the policies of this seed.
-        wanted_by: The algorithm that wants other settings than the rest, if one does.
+        shared: Whether all policies share the fit; otherwise it belongs to those of this seed.
+        for_algorithm: The algorithm for which alone these settings hold; empty for all.
     """
     return Node(
         component="model_fitting",
         name=f"{name}/{dataset}"
-        + (f"/{wanted_by}" if wanted_by else "")
+        + (f"/{for_algorithm}" if for_algorithm else "")
         + ("" if shared else f"/seed{seed}"),
         task="flows.tasks.model_fitting:fit_model",
         version=COMPONENTS["model_fitting"],
-        config={"model": name, "settings": plain(asdict(model)), "seed": seed},
+        config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=MODELS[name].cost(model),
@@ -142,7 +142,7 @@ def _policy_node(
     # A stack has one configuration, and data and models of one shape.
     models = {role: inputs[role].config["settings"] for role in algorithm.needs}
     system = settings.dataset[dataset].environment
-    kind = digest([plain(asdict(config)), models, system], 4)
+    kind = digest([jsonable(asdict(config)), models, system], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -151,7 +151,7 @@ def _policy_node(
         config={
             "algorithm": algorithm.name,
             "algorithm_version": algorithm.version,
-            "settings": plain(asdict(config)),
+            "settings": jsonable(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
@@ -176,7 +176,7 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
         version=COMPONENTS["evaluation"],
         config={
             "environment": spec.environment,
-            "parameters": plain(spec.environment_parameters),
+            "parameters": jsonable(spec.environment_parameters),
             "evaluation": protocol.record(spec.discount),
             "stream": [dataset, algorithm, policy.config["seed"]],
         },
@@ -218,7 +218,7 @@ def data_plan(settings: Settings) -> Plan:
 
 def _needed_models(settings: Settings) -> list[str]:
     needed = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
-    return sorted(needed | {"behaviour_policy"})  # which judges distances
+    return sorted(needed | {"behaviour_policy"})  # distances are measured to it
 
 
 def model_choice(settings: Settings) -> ModelChoice:
@@ -232,7 +232,7 @@ def model_choice(settings: Settings) -> ModelChoice:
 
 
 def check_model(settings: Settings, dataset: str, model: Any) -> None:
-    """Refuse to fit a model on a dataset that lacks what it needs.
+    """Refuse a model that a dataset is too short or too little described for.
 
     Args:
         settings: What is wanted.
@@ -263,15 +263,15 @@ def check_model(settings: Settings, dataset: str, model: Any) -> None:
         )
         raise SettingsError(
             f"{size} is less than warm_up + horizon = "
-            f"{model.warm_up + model.horizon} of model.recurrent_ensemble; raise the one or "
-            "lower the others."
+            f"{model.warm_up + model.horizon} of model.recurrent_ensemble; use longer episodes, or "
+            "lower warm_up or horizon."
         )
 
 
 def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
     """The whole grid: datasets x algorithms x seeds, with all they need.
 
-    It ends with the policies of datasets that have no system.
+    Datasets without a system get neither evaluation nor aggregation.
 
     Args:
         settings: What is wanted.
@@ -297,8 +297,8 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
             }
             for seed in seeds
         }
-        judge = choice.configs[dataset, "behaviour_policy"]
-        behaviour = model_node("behaviour_policy", judge, dataset, data)
+        reference = choice.configs[dataset, "behaviour_policy"]
+        behaviour = model_node("behaviour_policy", reference, dataset, data)
         for algorithm in settings.algorithms:
             special = settings.models_for(dataset, algorithm)
             for variant in variants(settings, dataset, algorithm):
@@ -308,11 +308,17 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
                     inputs = {"dataset": data, **models[fitted]}
                     for name, config in special.items():
                         inputs[name] = model_node(
-                            name, config, dataset, data, fitted, shared=not own, wanted_by=algorithm
+                            name,
+                            config,
+                            dataset,
+                            data,
+                            fitted,
+                            shared=not own,
+                            for_algorithm=algorithm,
                         )
                     policies[seed] = _policy_node(settings, variant, dataset, seed, inputs)
                 if settings.dataset[dataset].environment is None:
-                    nodes += policies.values()  # nothing can judge them
+                    nodes += policies.values()  # there is no system to evaluate them on
                     continue
                 evaluations = {
                     seed: _evaluation_node(settings, variant, policy, behaviour)

@@ -1,4 +1,4 @@
-"""What a dataset costs: core-seconds at the default sizes, measured roughly on a machine of 2026.
+"""What a dataset costs: core-seconds at the default sizes, measured roughly on a computer of 2026.
 
 Costs order the work and open the estimate; once nodes have finished, their times replace these.
 Those of models and policies are in the records of :data:`components.models.MODELS` and

@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan
-from flows.planning.benchmark import plain
+from flows.planning.benchmark import jsonable
 
 __all__ = ["expert_plan"]
 
@@ -22,7 +22,7 @@ def expert_plan(settings: Settings) -> Plan:
         shared = {
             "robot": robot,
             "physics": experts.physics,
-            "training": plain(asdict(experts.training)),
+            "training": jsonable(asdict(experts.training)),
         }
         trained = {
             f"seed{seed}": Node(

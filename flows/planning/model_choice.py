@@ -1,4 +1,4 @@
-"""Which settings a model of a dataset gets: its general ones, or those a search has found."""
+"""Chooses the settings of every model on every dataset: the general ones or tuned ones."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class ModelChoice:
     tuned: frozenset[tuple[str, str]]
 
     def lines(self) -> list[str]:
-        """For people, one line each: what is tuned and what is not."""
+        """One line that names the tuned models and one that names the others."""
         kinds = (
             ("tuned", sorted(self.tuned)),
             ("default", sorted(self.configs.keys() - self.tuned)),
@@ -40,7 +40,7 @@ class ModelChoice:
 
 
 def tuned_folder(settings: Settings) -> Path:
-    """Where the files of winners lie; a relative folder is one of the project, like conf/."""
+    """Folder of the tuned settings; a relative one is a folder of the project, like conf/."""
     return CONF.parent / settings.models.folder
 
 
@@ -55,8 +55,8 @@ def choose_models(
         data: Node of every dataset by name.
 
     Raises:
-        SettingsError: Tuned models are asked for, but there is none, or a file of one is damaged
-            or about other data.
+        SettingsError: Tuned models are asked for, but none has a file, or a file is damaged or
+            was tuned on other data.
     """
     configs = {(d, m): settings.model_on(d, m) for d in data for m in sorted(set(models))}
     if settings.models.source == "default":
@@ -70,10 +70,10 @@ def choose_models(
             f"{_search(','.join(data), ','.join(names))}, or use models=default."
         )
     for _, model in sorted(tuned):
-        if model in settings.model_words:
+        if model in settings.model_overrides:
             raise SettingsError(
-                f"{settings.model_words[model]!r} has no effect with models=tuned, whose files "
-                f"hold every setting of {model}; drop the one or the other."
+                f"{settings.model_overrides[model]!r} has no effect with models=tuned, whose files "
+                f"hold every setting of {model}; remove it or use models=default."
             )
     return ModelChoice(configs | tuned, frozenset(tuned))
 
@@ -85,7 +85,7 @@ def _search(datasets: str, models: str) -> str:
 def _tuned(settings: Settings, dataset: str, model: str, data: Node) -> Any:
     folder = tuned_folder(settings)
     shown = tuned_path(settings.models.folder, dataset, model)
-    remedy = f"make it anew with {_search(dataset, model)}, or use models=default"
+    remedy = f"make it again with {_search(dataset, model)}, or use models=default"
     try:
         found = read_tuned(folder, dataset, model)
         if found is None:

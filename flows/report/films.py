@@ -1,4 +1,4 @@
-"""How to watch the policies of a sweep: command lines of `flows.render`."""
+"""Command lines of `flows.render` that film the policies of a sweep."""
 
 from collections.abc import Collection, Iterable
 

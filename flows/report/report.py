@@ -26,9 +26,9 @@ class Report:
     """What was written.
 
     Attributes:
-        files: Table, the same as Markdown, figures.
+        files: The table as CSV and as Markdown, figures.
         table: One row per dataset, algorithm and proximity.
-        summaries: What aggregation has stored, behind the rows.
+        summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
     """
 
@@ -39,16 +39,16 @@ class Report:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences on what the table cannot show."""
-        nobody = "comes with no system to evaluate on, so its policies are stored and not judged."
+        """Sentences about what the table does not show."""
+        reason = "has no system to evaluate on: its policies are stored but not evaluated."
         return [
             *ended_notes(self.summaries),
-            *(f"{name} {nobody}" for name in self.without_system),
+            *(f"{name} {reason}" for name in self.without_system),
         ]
 
     @property
     def headline(self) -> dict[str, list[tuple[int, float]]]:
-        """Per dataset and algorithm the 10th percentile, adaptive policies over 100 proximity."""
+        """10th percentile per dataset and algorithm; the step is 100 times the proximity, or 0."""
         return {
             f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}": [
                 (round(100 * (point["lambda"] or 0.0)), point["tenth_percentile"])
@@ -110,7 +110,7 @@ def _drawn(
 ) -> list[dict[str, Any]]:
     """The summaries that figures show.
 
-    Dozens of lines of one algorithm's variants would hide the others: these are in the table only.
+    Variants of one algorithm are in the table only: dozens of lines would hide the others.
     """
     return [
         summary

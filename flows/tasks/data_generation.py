@@ -19,7 +19,7 @@ def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
         wanted = job.config.get("ingredients", {})
         if dict(source.ingredients) != wanted:
             raise ValueError(
-                f"What {source.name} is made with has changed; give the command again."
+                f"The files of {source.name} have changed meanwhile; give the same command again."
             )
         dataset = generate(source, job.config["seed"], context.threads)
         dataset.write(job.out / "dataset")

@@ -1,4 +1,4 @@
-"""Experts as task functions of the pipeline: training, one lane per seed, and the choice of one.
+"""Experts as task functions: training, one lane per seed, and the choice of a seed.
 
 This is data generation: both steps run the real system, and nothing but the data logged by the
 chosen expert reaches a learner.

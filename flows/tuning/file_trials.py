@@ -52,9 +52,11 @@ class FileTrials:
             "study": trial.study,
             "number": trial.number,
             "state": trial.state,
-            "drawn": dict(trial.drawn),
+            "drawn": dict(trial.parameters),
             "loss": trial.loss,
-            "on_the_way": {str(percent): loss for percent, loss in trial.on_the_way.items()},
+            "on_the_way": {
+                str(percent): loss for percent, loss in trial.intermediate_losses.items()
+            },
             "node": None if node is None else describe_node(node) | {"key": node.key},
             "reason": trial.reason,
         }

@@ -1,9 +1,9 @@
 """Trials in MLflow: every one is a run below the run of the search.
 
-A trial that was computed in this search is the run of its node. Others have no node run of their
-own: those that were pruned or failed, and those whose result was there before and has its run below
-the sweep that made it. They get a small run with the settings, the losses on the way and the state.
-Either is found by the tags `study`, `trial` and `state`.
+A trial that was computed in this search is the run of its node. Others get a small run with the
+settings, the intermediate losses and the state: those that were pruned or failed, and those whose
+result was there before and has its run below the sweep that made it. Both are found by the tags
+`study`, `trial` and `state`.
 """
 
 import time
@@ -64,7 +64,7 @@ class MlflowTrials:
             TrackingError: MLflow cannot be used.
         """
         whole = f"attributes.status != 'RUNNING' and tags.study = '{study}'"
-        with self.experiment.one_sentence():
+        with self.experiment.as_tracking_errors():
             return {int(run.data.tags["trial"]) for run in self.experiment.search(whole)}
 
     def log_trial(self, trial: TrialRecord) -> None:
@@ -87,7 +87,7 @@ class MlflowTrials:
         """Writes the run of a trial that is not the run of its node."""
         name = f"{trial.study.rpartition('/')[0]}/trial{trial.number}"
         tags = dict(tags) | self.sweep.child_tags | {"role": "trial"}
-        params = {f"drawn.{name}": value for name, value in trial.drawn.items()}
+        params = {f"drawn.{name}": value for name, value in trial.parameters.items()}
         if trial.node is not None:
             name = trial.node.name
             tags |= flat(dict(trial.node.tags)) | {"key": trial.node.key}
@@ -97,7 +97,7 @@ class MlflowTrials:
         now = int(1000 * time.time())
         metrics = [
             ("model/validation_loss_on_the_way", loss, now, percent)
-            for percent, loss in trial.on_the_way.items()
+            for percent, loss in trial.intermediate_losses.items()
         ]
         if trial.loss is not None:
             metrics.append(("validation_loss", trial.loss, now, 0))

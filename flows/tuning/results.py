@@ -1,4 +1,4 @@
-"""What a search has found: its winner, one sentence about it, and the way there."""
+"""The results of a search: tuned settings, a sentence about them, the best losses so far."""
 
 import json
 from collections.abc import Iterable
@@ -12,38 +12,38 @@ from flows.pipeline.tracking.tracker import Metrics
 from flows.tuning.study import Study
 from flows.tuning.tuned_file import TunedModel
 
-__all__ = ["lowest_losses", "verdict", "winner"]
+__all__ = ["best_losses", "comparison", "tuned_model"]
 
 
-def winner(study: Study, store: ArtifactStore) -> TunedModel | None:
+def tuned_model(study: Study, store: ArtifactStore) -> TunedModel | None:
     """The content of a study's tuned file; None if no trial is complete.
 
     Args:
         study: The study.
         store: Where its dataset lies.
     """
-    best, start, subject = study.best(), study.start_trial(), study.subject
+    best, start, specification = study.best(), study.start_trial(), study.specification
     if best is None:
         return None
-    card = store.path(subject.data.key) / "dataset" / "card.json"
+    card = store.path(specification.data.key) / "dataset" / "card.json"
     started = start is not None and start.state is TrialState.COMPLETE
     return TunedModel(
-        dataset=subject.dataset,
-        model=subject.model,
+        dataset=specification.dataset,
+        model=specification.model,
         study=study.name,
         trial=best.number,
-        trials=study.spent,
+        trials=study.ended,
         validation_loss=best.value,
         default_validation_loss=start.value if started else None,
         data_digest=json.loads(card.read_text(encoding="utf-8"))["digest"],
-        data_key=subject.data.key,
+        data_key=specification.data.key,
         date=date.today().isoformat(),
         settings=asdict(study.config(best)),
     )
 
 
-def verdict(tuned: TunedModel) -> str:
-    """The winner's loss beside that of the default configuration, without a final stop."""
+def comparison(tuned: TunedModel) -> str:
+    """The best loss beside that of the default configuration, without a final stop."""
     text = f"{tuned.dataset} {tuned.model}: trial {tuned.trial} of {tuned.trials} with a held-out "
     text += f"loss of {tuned.validation_loss:.6g}"
     default = tuned.default_validation_loss
@@ -53,14 +53,14 @@ def verdict(tuned: TunedModel) -> str:
     return f"{text}; the default has {default:.6g} ({gain:.1%} less)"
 
 
-def lowest_losses(studies: Iterable[Study]) -> Metrics:
-    """Per study the lowest loss so far over the number of the trial."""
+def best_losses(studies: Iterable[Study]) -> Metrics:
+    """Per study the best loss so far over the number of the trial."""
     curves: dict[str, list[tuple[int, float]]] = {}
     for study in studies:
         best = float("inf")
         for trial in study.trials():
             if trial.state is TrialState.COMPLETE:
                 best = min(best, trial.value)
-                name = f"best_loss/{study.subject.dataset}/{study.subject.model}"
+                name = f"best_loss/{study.specification.dataset}/{study.specification.model}"
                 curves.setdefault(name, []).append((trial.number, best))
     return curves

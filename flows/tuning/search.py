@@ -1,4 +1,4 @@
-"""The search: asks studies for trials, has an executor fit them, reports the losses back.
+"""The search: asks studies for trials, lets an executor fit them, reports the losses back.
 
 A trial is a model-fitting node like any other, so its key finds a finished artifact or a checkpoint
 of any earlier run, and a benchmark finds those of the search. The next trial is asked for whenever
@@ -25,14 +25,14 @@ from flows.tuning.study import Study
 from flows.tuning.trial_queue import TrialQueue
 from flows.tuning.trials import Trials
 
-__all__ = ["Outcome", "search"]
+__all__ = ["SearchOutcome", "search"]
 
-_TICK = 0.5  # seconds between two looks at the losses on the way
+_TICK = 0.5  # seconds between two looks at the intermediate losses
 _SIGN_OF_LIFE = 60.0  # seconds without a message after which running trials are listed
 
 
 @dataclass
-class Outcome:
+class SearchOutcome:
     """How a search ended.
 
     Attributes:
@@ -73,7 +73,7 @@ def search(
     executor: Executor,
     notify: Callable[[str], None],
     finished: Callable[[Study], None] = lambda study: None,
-) -> Outcome:
+) -> SearchOutcome:
     """Bring every study to a number of trials.
 
     Args:
@@ -83,7 +83,7 @@ def search(
         tracker: Records the trials; the caller has opened it.
         executor: Computes the fits.
         notify: Takes one-line messages.
-        finished: Called with every study that has its trials, one of them complete.
+        finished: Called with every study that has all its trials, if one of them is complete.
 
     Returns:
         How the search ended. Nothing is raised for failed trials.
@@ -102,7 +102,7 @@ def search(
 
 
 def _group(key: str) -> str:
-    """Name of a trial's call, unlike those of plans, whose calls a search may not stop."""
+    """Name of a trial's call; other than those of plans, whose calls a search must not stop."""
     return f"trial-{key}"
 
 
@@ -125,13 +125,13 @@ class _Search:
         self.executor = executor
         self.notify = notify
         self.finished = finished
-        self.outcome = Outcome()
+        self.outcome = SearchOutcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
         self.queue = TrialQueue(tracker, store, self._say)
         self.last_message = time.monotonic()
 
-    def run(self) -> Outcome:
+    def run(self) -> SearchOutcome:
         self.store.repair()
         for study in self.studies:
             study.recover()
@@ -156,7 +156,7 @@ class _Search:
             self.executor.stop()
             with contextlib.suppress(KeyboardInterrupt):
                 self.queue.write()
-            self.outcome.unrecorded = self.queue.closed
+            self.outcome.unrecorded = self.queue.unrecorded
         for study in self.studies:
             if study.best() is None and not self.outcome.interrupted:
                 self.outcome.failed.append(study.name)
@@ -166,8 +166,8 @@ class _Search:
         """Remove progress files and work of trials that will not go on, left by a killed driver."""
         keys = {t.user_attrs["key"]: t.state for t in study.trials() if "key" in t.user_attrs}
         for key in keys:
-            self.store.forget_progress(_group(key))
-        for work in self.store.works():
+            self.store.clear_progress(_group(key))
+        for work in self.store.work_folders():
             if {keys.get(key) for key in work.serves} == {TrialState.PRUNED}:
                 with self.store.locked(work.serves, wait=False) as free:
                     if free:
@@ -179,7 +179,7 @@ class _Search:
         return sum(len(call.trials) for call in self.running.values() if call.study is study)
 
     def _wants(self, study: Study) -> bool:
-        if study.spent + self._active(study) < self.trials:
+        if study.ended + self._active(study) < self.trials:
             return True
         # A study may have its number of trials and still lack that of a new start.
         start = study.start_trial()
@@ -196,7 +196,7 @@ class _Search:
     def _begin(self, study: Study) -> None:
         trial = study.ask()
         try:
-            node = study.subject.node_of(trial.params, trial.number)
+            node = study.specification.node_of(trial.params, trial.number)
         except ValueError as error:
             self._failed(study, trial, str(error))
             return
@@ -208,7 +208,7 @@ class _Search:
             self.running[group].trials.append(trial)
         else:
             self.running[group] = _Call(study, node, [trial])
-            self.store.forget_progress(group)
+            self.store.clear_progress(group)
             executor = self.executor
             self.executor.submit(
                 GroupCall.of(group, self.store.root, [node], executor.device, executor.threads)
@@ -217,15 +217,15 @@ class _Search:
     # Running trials
 
     def _check_running(self) -> None:
-        """Report losses on the way to the studies, and stop hopeless trials."""
+        """Report intermediate losses to the studies, and stop trials that they prune."""
         for group, call in self.running.items():
             self._report(group, call)
             if self.store.stop_file(group).exists():
                 continue
-            if any(call.study.hopeless(trial) for trial in call.trials):
-                # First in the study: after a kill in between the trial does not begin once more.
+            if any(call.study.should_prune(trial) for trial in call.trials):
+                # The study is told first: after a kill in between, the trial does not begin again.
                 for trial in call.trials:
-                    call.study.give_up(trial)
+                    call.study.mark_for_pruning(trial)
                 self.store.stop_file(group).touch()
 
     def _report(self, group: str, call: _Call) -> None:
@@ -237,7 +237,7 @@ class _Search:
         if time.monotonic() - self.last_message < _SIGN_OF_LIFE or not self.running:
             return
         shares = [
-            f"{call.study.subject.dataset}/{call.study.subject.model} trial "
+            f"{call.study.specification.dataset}/{call.study.specification.model} trial "
             f"{call.trials[0].number} {self.store.fraction(group) or 0:.0%}"
             for group, call in self.running.items()
         ]
@@ -255,13 +255,13 @@ class _Search:
         for trial in call.trials:
             if self.store.complete(call.node.key):
                 self._evaluated(call.study, trial, call.node)
-            elif call.node.key in result.given_up:
+            elif call.node.key in result.stopped:
                 call.study.prune(trial)
-                self._ended(call.study, trial, "given up, worse than the median of the others")
+                self._ended(call.study, trial, "pruned, worse than the median of the others")
             else:
                 reason = result.failed.get(call.node.key, "The worker gave no reason.")
                 self._failed(call.study, trial, reason)
-        self.store.forget_progress(result.group)
+        self.store.clear_progress(result.group)
 
     def _evaluated(self, study: Study, trial: Trial, node: Node) -> None:
         metrics = read_json(self.store.path(node.key) / "metrics.json")
@@ -280,12 +280,12 @@ class _Search:
     def _ended(self, study: Study, trial: Trial, what: str) -> None:
         best = study.best()
         leads = f"; best {best.value:.6g} of trial {best.number}" if best else ""
-        title = f"{study.subject.dataset} {study.subject.model}"
-        self._say(f"{title}: trial {trial.number} ({study.spent} of {self.trials}): {what}{leads}")
+        title = f"{study.specification.dataset} {study.specification.model}"
+        self._say(f"{title}: trial {trial.number} ({study.ended} of {self.trials}): {what}{leads}")
         self.queue.add(study, trial.number)
 
     def _close(self) -> None:
-        """Hand over the studies that have all their trials."""
+        """Call `finished` with the studies that have all their trials."""
         for study in list(self.open):
             if self._wants(study) or self._active(study):
                 continue

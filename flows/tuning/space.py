@@ -1,16 +1,16 @@
-"""What a search varies: per model its fields, each with a range or a list of choices.
+"""Search spaces: per model the varied fields, each with a range or a list of choices.
 
 A search never varies what decides the meaning or the cost of the held-out loss: the held-out share,
 the predicted steps, the budget, the number of members. Every space is widened to hold the
 configuration it starts from, so that this one can be the first trial.
 
-Fairness of the comparisons: one-step ensembles, autoencoders and behaviour policies are judged on
-the same held-out transitions whatever is varied. Recurrent ensembles are judged on all held-out
-windows of ``warm_up + horizon`` steps: a shorter warm-up leaves a few more of them, at the
-beginning of each held-out trajectory (of 1,000 steps, 941 instead of 921 windows between the two
-ends of the range), and is otherwise the harder task of the same predictions. It is not searched
-beyond 30 steps, because policies see no more at run time. Whether they predict values or changes,
-what is judged are values.
+The losses of a study are comparable. Those of one-step ensembles, autoencoders and behaviour
+policies are over the same held-out transitions whatever is varied. Those of recurrent ensembles are
+over all held-out windows of ``warm_up + horizon`` steps: a shorter warm-up leaves a few more of
+them, at the beginning of each held-out trajectory (of 1,000 steps, 941 instead of 921 windows
+between the two ends of the range), and is otherwise the harder task of the same predictions. It is
+not searched beyond 30 steps, because policies see no more at run time. Whether they
+predict values or changes, the loss is that of the values.
 """
 
 from collections.abc import Mapping
@@ -31,11 +31,11 @@ __all__ = [
     "SPACES",
     "VERSION",
     "Choice",
+    "IntegerRange",
     "Parameter",
     "Range",
     "RangeOrZero",
     "Space",
-    "Whole",
     "distributions",
     "fixed",
     "parameters",
@@ -117,8 +117,8 @@ class RangeOrZero:
 
 
 @dataclass(frozen=True)
-class Whole:
-    """Whole numbers between two ends, evenly on a logarithmic scale."""
+class IntegerRange:
+    """IntegerRange numbers between two ends, evenly on a logarithmic scale."""
 
     low: int
     high: int
@@ -201,7 +201,7 @@ SPACES: Final[Mapping[str, Space]] = MappingProxyType(
             **_MINIBATCHES,
         },
         "recurrent_ensemble": {
-            "hidden": Whole(15, 60),
+            "hidden": IntegerRange(15, 60),
             "target": Choice(("value", "change")),
             "warm_up": Choice((10, 20, 30)),
             "batch": Choice((128, 256, 512)),

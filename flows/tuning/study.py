@@ -4,9 +4,9 @@ The study's name ends in a digest of all that its losses depend on and that is n
 study never mixes losses that cannot be compared. The driver alone writes. It may be killed at any
 line; :meth:`Study.recover` then repairs the study:
 
-- a trial that was running is failed, and its parameters are put in line again: the new trial means
+- a trial that was running is failed, and its parameters are enqueued again: the new trial means
   the same node, so its checkpoint or its finished artifact is used;
-- a trial that was found hopeless is pruned, whether or not its worker has stopped.
+- a trial that was marked for pruning is pruned, whether or not its worker has stopped.
 
 A trial that failed by itself has a reason among its attributes and counts. One that was
 interrupted has none and does not count.
@@ -25,21 +25,21 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from flows.pipeline.json_lines import cut_half_line
+from flows.pipeline.json_lines import remove_partial_line
 from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 
-__all__ = ["Study", "Subject", "ended_trials", "has_ended", "open_journal"]
+__all__ = ["Study", "StudySpecification", "ended_trials", "has_ended", "open_journal"]
 
 _RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
-_COMPARED_FROM = 5  # complete trials before any is given up
+_COMPARED_FROM = 5  # complete trials before any is pruned
 _PATIENCE = 25  # percent of the budget that every trial gets
 _COMPARED = 3  # losses at the same percentage that a comparison needs
 
 
 @dataclass(frozen=True)
-class Subject:
+class StudySpecification:
     """A model on a dataset, and what is varied.
 
     Attributes:
@@ -92,7 +92,7 @@ def open_journal(path: Path) -> JournalStorage:
     lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
     lock.acquire()
     try:
-        cut_half_line(path)
+        remove_partial_line(path)
     finally:
         lock.release()
     with warnings.catch_warnings():
@@ -100,14 +100,14 @@ def open_journal(path: Path) -> JournalStorage:
         return JournalStorage(JournalFileBackend(str(path), lock))
 
 
-def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
+def ended_trials(path: Path, specifications: Iterable[StudySpecification]) -> dict[str, int]:
     """Number of ended trials by study name; changes nothing.
 
     Args:
         path: The journal.
-        subjects: Those of the studies.
+        specifications: Those of the studies.
     """
-    found = dict.fromkeys((subject.name for subject in subjects), 0)
+    found = dict.fromkeys((specification.name for specification in specifications), 0)
     if not path.exists():
         return found
     journal = open_journal(path)
@@ -121,16 +121,16 @@ def ended_trials(path: Path, subjects: Iterable[Subject]) -> dict[str, int]:
 class Study:
     """A study that several runs of the driver continue, one after the other."""
 
-    def __init__(self, subject: Subject, journal: JournalStorage) -> None:
+    def __init__(self, specification: StudySpecification, journal: JournalStorage) -> None:
         """Opens the study or makes it.
 
         Args:
-            subject: The model, the dataset and what is varied.
+            specification: The model, the dataset and what is varied.
             journal: See :func:`open_journal`.
         """
-        self.subject = subject
-        self.name = subject.name
-        self._space = spaces.distributions(subject.space, subject.start)
+        self.specification = specification
+        self.name = specification.name
+        self._space = spaces.distributions(specification.space, specification.start)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
             self._study = optuna.create_study(
@@ -145,19 +145,19 @@ class Study:
             n_startup_trials=_COMPARED_FROM, n_warmup_steps=_PATIENCE, n_min_trials=_COMPARED
         )
         self._reported: dict[int, int] = {}
-        self._start = spaces.parameters(subject.space, subject.start)
+        self._start = spaces.parameters(specification.space, specification.start)
 
     def trials(self) -> list[FrozenTrial]:
         """All trials so far, in order."""
         return self._study.get_trials(deepcopy=False)
 
     @property
-    def spent(self) -> int:
+    def ended(self) -> int:
         """Number of trials that count: evaluated, pruned or failed by themselves."""
         return sum(has_ended(trial) for trial in self.trials())
 
     def recover(self) -> None:
-        """Repair the study after a killed driver, and put the start in line if it is missing."""
+        """Repair the study after a killed driver, and enqueue the start if it is missing."""
         for trial in self.trials():
             if trial.state is not TrialState.RUNNING:
                 continue
@@ -181,31 +181,31 @@ class Study:
         return next((t for t in found if has_ended(t) or t.state is not lost), None)
 
     def ask(self) -> Trial:
-        """A new trial, or the next one in line."""
+        """A new trial, or the next enqueued one."""
         return self._study.ask(self._space)
 
     def report(self, trial: Trial, fraction: float, loss: float) -> None:
-        """Note a held-out loss on the way.
+        """Note an intermediate held-out loss.
 
         Args:
             trial: A running trial.
             fraction: Part of the budget that is spent.
-            loss: There.
+            loss: Held-out loss there.
         """
         percent = int(100 * fraction + 1e-9)
         if percent > self._reported.get(trial.number, 0):
             self._reported[trial.number] = percent
             trial.report(loss if math.isfinite(loss) else math.nan, percent)
 
-    def hopeless(self, trial: Trial) -> bool:
-        """Whether a running trial is worse than the median of the others at the same point.
+    def should_prune(self, trial: Trial) -> bool:
+        """Whether a running trial is worse than the median of the others at the same budget.
 
         The answer may change without a new loss of its own: with every other trial that ends.
         """
         return trial.should_prune()
 
-    def give_up(self, trial: Trial) -> None:
-        """Note that a running trial is hopeless; its later results do not count."""
+    def mark_for_pruning(self, trial: Trial) -> None:
+        """Note that a running trial will be pruned; its later results do not count."""
         trial.set_user_attr("given_up", self._reported[trial.number])
 
     def complete(self, trial: Trial, loss: float) -> None:
@@ -213,7 +213,7 @@ class Study:
         self._study.tell(trial, loss)
 
     def prune(self, trial: Trial) -> None:
-        """End a hopeless trial."""
+        """End a pruned trial."""
         self._study.tell(trial, state=TrialState.PRUNED)
 
     def fail(self, trial: Trial, reason: str) -> None:
@@ -229,7 +229,7 @@ class Study:
 
     def config(self, trial: FrozenTrial) -> Any:
         """The configuration object of a trial."""
-        return spaces.settings(self.subject.space, self.subject.start, trial.params)
+        return spaces.settings(self.specification.space, self.specification.start, trial.params)
 
 
 def has_ended(trial: FrozenTrial) -> bool:

@@ -25,18 +25,18 @@ class TrialQueue:
         say: Takes one-line messages.
 
     Attributes:
-        closed: Why trials are missing in the tracker; empty if none is.
+        unrecorded: Why trials are missing in the tracker; empty if none is.
     """
 
     def __init__(self, tracker: Trials, store: ArtifactStore, say: Callable[[str], None]) -> None:
-        self.closed = ""
+        self.unrecorded = ""
         self._tracker = tracker
         self._store = store
         self._say = say
         self._waiting: list[tuple[Study, int]] = []
 
     def add(self, study: Study, number: int) -> None:
-        """Puts a trial that ended in line."""
+        """Adds a trial that ended."""
         self._waiting.append((study, number))
 
     def catch_up(self, studies: Iterable[Study]) -> None:
@@ -52,8 +52,8 @@ class TrialQueue:
         self.write()
 
     def write(self) -> None:
-        """Records what waits."""
-        while self._waiting and not self.closed:
+        """Records the waiting trials."""
+        while self._waiting and not self.unrecorded:
             study, number = self._waiting[0]
             try:
                 self._tracker.log_trial(self._record(study, study.trials()[number]))
@@ -63,22 +63,22 @@ class TrialQueue:
             self._waiting.pop(0)
 
     def _close(self, error: TrackingError) -> None:
-        self.closed = str(error)
+        self.unrecorded = str(error)
         self._say(f"{error} The search goes on; the next run of it records what is missing.")
 
     def _record(self, study: Study, trial: FrozenTrial) -> TrialRecord:
         node = None
         # The settings may be impossible, or the trial interrupted before all of them were drawn.
         with contextlib.suppress(ValueError, KeyError):
-            node = study.subject.node_of(trial.params, trial.number)
+            node = study.specification.node_of(trial.params, trial.number)
         complete = trial.state is TrialState.COMPLETE
         return TrialRecord(
             study=study.name,
             number=trial.number,
             state=trial.state.name if has_ended(trial) else "INTERRUPTED",
-            drawn=trial.params,
+            parameters=trial.params,
             loss=trial.value if complete else None,
-            on_the_way=trial.intermediate_values,
+            intermediate_losses=trial.intermediate_values,
             node=node,
             folder=self._store.path(node.key) if complete and node is not None else None,
             reason=trial.user_attrs.get("error", ""),

@@ -19,9 +19,9 @@ class TrialRecord:
         study: Name of the study.
         number: Of the trial in it.
         state: COMPLETE, PRUNED, FAIL or INTERRUPTED.
-        drawn: Parameters as Optuna drew them.
+        parameters: As Optuna drew them.
         loss: Held-out loss of a complete trial.
-        on_the_way: Held-out losses by percent of the budget.
+        intermediate_losses: Held-out losses by percent of the budget.
         node: What it computed; None if no configuration came of it.
         folder: The node's finished artifact, if there is one.
         reason: Why it failed.
@@ -30,9 +30,9 @@ class TrialRecord:
     study: str
     number: int
     state: str
-    drawn: Mapping[str, Any]
+    parameters: Mapping[str, Any]
     loss: float | None
-    on_the_way: Mapping[int, float]
+    intermediate_losses: Mapping[int, float]
     node: Node | None
     folder: Path | None
     reason: str = ""

@@ -1,9 +1,9 @@
-"""The file that holds the winner of a search, for people and for benchmark runs.
+"""The file that holds the best settings of a search, for people and for benchmark runs.
 
     conf/tuned/DATASET/MODEL.yaml
 
 It holds every setting of the model, so that a benchmark fits exactly what the search has fitted,
-and where they come from.
+and where the settings come from.
 """
 
 from collections.abc import Mapping
@@ -24,15 +24,15 @@ _HEAD = (
 
 @dataclass(frozen=True, kw_only=True)
 class TunedModel:
-    """A winner.
+    """Settings of a model that a search has found.
 
     Attributes:
         dataset: Name of the dataset.
         model: Name of the model.
         study: Name of the study.
-        trial: Number of the winner in it.
+        trial: Number of the best trial in it.
         trials: Trials of the study that had ended.
-        validation_loss: The winner's held-out loss.
+        validation_loss: Held-out loss of the best trial.
         default_validation_loss: That of the configuration the search started from, if it has one.
         data_digest: Digest of the dataset's content.
         data_key: Key of the dataset's node.
@@ -59,11 +59,11 @@ def tuned_path(folder: Path, dataset: str, model: str) -> Path:
 
 
 def write_tuned(folder: Path, tuned: TunedModel) -> Path:
-    """Write a winner's file, whole or not at all.
+    """Write tuned settings, whole or not at all.
 
     Args:
         folder: Made if needed.
-        tuned: The winner.
+        tuned: The settings.
 
     Returns:
         The file.
@@ -90,7 +90,7 @@ _Dumper.add_representer(list, _Dumper.represent_list)
 
 
 def read_tuned(folder: Path, dataset: str, model: str) -> TunedModel | None:
-    """Read a winner's file; None if there is none.
+    """Read tuned settings; None if there is no file.
 
     Raises:
         ValueError: It is damaged, or is about something else; the message does not name the file.
@@ -101,7 +101,7 @@ def read_tuned(folder: Path, dataset: str, model: str) -> TunedModel | None:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError("it is no YAML") from error
+        raise ValueError("it is not YAML") from error
     known = [field.name for field in fields(TunedModel)]
     if not isinstance(content, dict) or not isinstance(content.get("settings"), dict):
         raise ValueError("it holds no settings")

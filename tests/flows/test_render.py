@@ -40,7 +40,7 @@ def add_dataset(store: ArtifactStore, key: str, environment: str, parameters: An
 
 
 def add_policy(store: ArtifactStore, key: str, name: str, dataset: str, **card: Any) -> None:
-    """Two snapshots: the first stands still, the last one acts."""
+    """Two snapshots: the first does nothing, the last one acts."""
     snapshots = [constant_policy([0.0] * 3, 11, 1), constant_policy([0.5, -0.5, 0.25], 11, 1)]
     told = {"features": HOPPER.frame_features, "steps": (1, 2), **card}
     policy = Policy.concatenate(dataclasses.replace(snapshots[0].card, **told), snapshots)
@@ -162,7 +162,10 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
         ),
         (["run=x", "out=a.gif", "steps"], "'steps' is not a setting; write key=value"),
         (["run=bc/hopper/seed9", "out=a.gif"], "holds no such finished run; give the id of a run"),
-        ([f"run={DATA}", "out=a.gif"], "is no policy but a run of data_generation; give a run of"),
+        (
+            [f"run={DATA}", "out=a.gif"],
+            "is not a policy but a run of data_generation; give",
+        ),
         (["run=bc/hopper/seed0", "out=a.gif", "proximity=1"], "takes no proximity."),
         (["run=lion/hopper/seed0", "out=a.gif"], "needs proximity; add e.g. proximity=0.5."),
         (["run=bc/bad-0.4/seed0", "out=a.gif"], "which has no picture; only policies of the robot"),
@@ -191,6 +194,6 @@ def test_a_name_of_several_runs_needs_a_key(store: ArtifactStore) -> None:
 
 
 @pytest.mark.parametrize("word", ["proximity", "lambda"])
-def test_older_command_lines_call_the_proximity_lambda(word: str) -> None:
+def test_lambda_is_accepted_as_the_old_name_of_proximity(word: str) -> None:
     settings = render.load_render_settings(["run=x", "out=a.gif", f"{word}=0.25"])
     assert settings.proximity == 0.25

@@ -1,4 +1,4 @@
-"""What a report shows of variants of one algorithm."""
+"""The report of a sweep: variants of an algorithm, and commands that film robots."""
 
 import csv
 from pathlib import Path

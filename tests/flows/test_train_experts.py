@@ -112,7 +112,7 @@ def test_documented_defaults_are_the_code_s() -> None:
     assert not experts.install
 
 
-def test_the_seed_with_the_best_evaluation_is_judged_anew(tmp_path: Path) -> None:
+def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) -> None:
     plan = plan_of("experts.training.discount=0.9")
     *seeds, choice = plan
     run(seeds, tmp_path)
@@ -161,7 +161,7 @@ def test_a_killed_training_is_continued_in_its_work_folder(
 
 
 @pytest.mark.slow(4)
-def test_the_door_trains_remembers_and_installs(
+def test_the_door_trains_records_and_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = tmp_path / "shipped"

@@ -86,7 +86,7 @@ class RayExecutor:
             where = f"the cluster at RAY_ADDRESS={address}" if address else "Ray on this computer"
             raise PipelineError(
                 f"Could not reach {where} ({_first_line(error)}): "
-                "start it, unset RAY_ADDRESS, or use the serial runner."
+                "start it, unset RAY_ADDRESS, or set runner.executor=serial."
             ) from error
         _silence(ray)
         if address:
@@ -97,7 +97,7 @@ class RayExecutor:
         if self.slots < 1 or (self._gpus and not ray.cluster_resources().get("GPU")):
             raise PipelineError(
                 f"Ray offers no place for a task with {self.threads} processors on "
-                f"{self.device!r}: ask for fewer threads or another device."
+                f"{self.device!r}: lower runner.threads or change runner.device."
             )
         self._remote = ray.remote(num_cpus=self.threads, num_gpus=self._gpus, max_retries=0)(
             run_group
@@ -134,7 +134,7 @@ class RayExecutor:
             result: GroupResult = self._ray.get(reference)
             return result
         except exceptions.RayTaskError as error:
-            # Raised outside `run_group`, e.g. the worker cannot import this package.
+            # Raised outside `run_group`: for example, the worker cannot import this package.
             return _lost(call, str(error))
         except exceptions.TaskCancelledError:
             raise KeyboardInterrupt from None
@@ -151,7 +151,7 @@ class RayExecutor:
                 )
                 return None
             remedy = (
-                "let fewer tasks run at once, or make the batch or the lanes smaller"
+                "lower runner.cpus, so that fewer tasks run at once, or the batch"
                 if memory
                 else "see why (killed, or a crash in native code?) and give the same command again"
             )
@@ -197,7 +197,7 @@ def _check_address(address: str | None) -> None:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
     except OSError as error:
         raise PipelineError(
-            f"Nobody answers at RAY_ADDRESS={address} ({error.strerror or error}): "
+            f"Nothing answers at RAY_ADDRESS={address} ({error.strerror or error}): "
             "start the cluster, correct the address, or unset it to use this computer."
         ) from error
 

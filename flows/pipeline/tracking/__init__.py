@@ -1,4 +1,4 @@
-"""The records of sweeps that people read; the artifact store needs none of them.
+"""Trackers: records of sweeps for people; the artifact store needs none of them.
 
 In: the settings of a sweep, its finished and failed nodes, its report. Out: runs in MLflow
 (`mlflow_tracker`), lines in a file (`file_tracker`) or nothing (`NullTracker`).

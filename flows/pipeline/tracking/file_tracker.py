@@ -14,7 +14,7 @@ from typing import Any
 
 from components.core.files import read_json
 from flows.pipeline.errors import TrackingError
-from flows.pipeline.json_lines import append_line, cut_half_line, read_lines
+from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.sweep_lock import hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
@@ -42,9 +42,9 @@ class SweepFile:
         path = self._root / "tracking" / f"{name}.jsonl"
         with ExitStack() as held:
             held.enter_context(hold_sweep(self._root, name))
-            with _one_sentence(path):
+            with _as_tracking_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                cut_half_line(path)
+                remove_partial_line(path)
                 self._newest = {str(event.get("about")): event for event in read_lines(path)}
             self._lock = held.pop_all()  # an error above gives it back
         self._path = path
@@ -84,7 +84,7 @@ class SweepFile:
         if _text(fields) == _text(self._newest.get(about, {})):
             return
         line = {"time": round(time.time(), 3), **fields}
-        with _one_sentence(self._path):
+        with _as_tracking_errors(self._path):
             append_line(self._path, line)
         self._newest[about] = line
 
@@ -96,7 +96,7 @@ def _text(event: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def _one_sentence(path: Path) -> Iterator[None]:
+def _as_tracking_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:

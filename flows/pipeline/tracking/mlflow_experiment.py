@@ -16,7 +16,7 @@ from flows.pipeline.tracking.mlflow_setup import (
     EXPERIMENT,
     import_mlflow,
     make_database,
-    origin,
+    source_tags,
     without_password,
 )
 from flows.pipeline.tracking.mlflow_writes import log_batches, log_datasets
@@ -51,8 +51,8 @@ class MlflowExperiment:
         self.root = Path(root).absolute()
         self.uri = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow.db"
         own = not os.environ.get("MLFLOW_TRACKING_URI")
-        self.common = {"mlflow.source.name": source, "mlflow.source.type": "LOCAL"} | origin()
-        with self.one_sentence():
+        self.common = {"mlflow.source.name": source, "mlflow.source.type": "LOCAL"} | source_tags()
+        with self.as_tracking_errors():
             (self.root / "locks").mkdir(parents=True, exist_ok=True)
             mlflow = import_mlflow()
             with self._alone():
@@ -145,7 +145,7 @@ class MlflowExperiment:
         Raises:
             TrackingError: MLflow cannot be used.
         """
-        with self.one_sentence(), self._alone():
+        with self.as_tracking_errors(), self._alone():
             yield
 
     @contextmanager
@@ -155,7 +155,7 @@ class MlflowExperiment:
             yield
 
     @contextmanager
-    def one_sentence(self) -> Iterator[None]:
+    def as_tracking_errors(self) -> Iterator[None]:
         """Turns an error of MLflow or its database into one sentence.
 
         Raises:

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "origin", "without_password"]
+__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "source_tags", "without_password"]
 
 EXPERIMENT = "proximity-bench"
 """Name of the MLflow experiment that all sweeps share."""
@@ -28,7 +28,7 @@ def import_mlflow() -> Any:
     import mlflow
 
     for name in ("mlflow", "alembic"):
-        # They also raise what they log as an error, and we turn that into one sentence.
+        # What they log as an error they also raise, and it is reported as one sentence.
         logging.getLogger(name).setLevel(logging.CRITICAL)
     return mlflow
 
@@ -57,13 +57,13 @@ def make_database(root: Path) -> None:
     os.replace(young, path)
 
 
-def origin() -> dict[str, str]:
+def source_tags() -> dict[str, str]:
     """Tags that name the user and the commit, as far as they are known."""
-    origin = {}
+    tags = {}
     try:
-        origin["mlflow.user"] = getpass.getuser()
+        tags["mlflow.user"] = getpass.getuser()
     except (KeyError, OSError):
-        origin["mlflow.user"] = "unknown"
+        tags["mlflow.user"] = "unknown"
     try:
         commit = subprocess.run(
             ["git", "rev-parse", "HEAD"],
@@ -73,10 +73,10 @@ def origin() -> dict[str, str]:
             timeout=10,
             check=True,
         ).stdout.strip()
-        origin["mlflow.source.git.commit"] = commit
+        tags["mlflow.source.git.commit"] = commit
     except (OSError, subprocess.SubprocessError):
         pass
-    return origin
+    return tags
 
 
 def without_password(uri: str) -> str:

@@ -98,7 +98,7 @@ class MlflowSweep:
         if self.run_id is None:
             return
         client = self._experiment.client
-        with self._lock, self._experiment.one_sentence():
+        with self._lock, self._experiment.as_tracking_errors():
             for file in files:
                 client.log_artifact(self.run_id, str(file), "report")
             now = int(time.time() * 1000)

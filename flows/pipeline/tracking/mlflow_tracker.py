@@ -61,7 +61,7 @@ class MlflowTracker:
             ):
                 self.experiment.client.set_terminated(run.info.run_id, "KILLED")
         wanted = None if plan is None else {node.key for node in plan}
-        with self.experiment.one_sentence():
+        with self.experiment.as_tracking_errors():
             for run in self.experiment.search(
                 "attributes.status = 'FINISHED' and tags.role = 'node'"
             ):

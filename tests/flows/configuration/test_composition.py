@@ -1,4 +1,4 @@
-"""Layers of settings: what a domain or a dataset wants otherwise, and who wins."""
+"""Layers of settings: which wins, and what a domain or a dataset may change."""
 
 import shutil
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ def special(*later: dict) -> dict:
     return special_settings([OmegaConf.create(layer) for layer in (GROUPS, *later)])
 
 
-def test_a_dataset_wins_over_its_domain_and_that_over_what_holds_everywhere() -> None:
+def test_settings_of_a_dataset_win_over_its_domain_s_and_these_over_general_ones() -> None:
     found = special()
     assert set(found) == {"hopper-1.0", "walker"}, "the others have the settings of everybody"
     assert found["walker"]["algorithm"]["moose"] == {"updates": 5000, "optimizer": "adam"}
@@ -44,7 +44,7 @@ def test_a_dataset_wins_over_its_domain_and_that_over_what_holds_everywhere() ->
     assert found["walker"]["model"]["clone"] == {"hidden": [128], "epochs": 50}
 
 
-def test_an_algorithm_may_want_its_models_otherwise() -> None:
+def test_an_algorithm_may_have_its_own_model_settings() -> None:
     wanted = special()["walker"]["model_for"]
     assert wanted == {
         "wsbc": {"clone": {"hidden": [40], "epochs": 50}, "net": {"hidden": 7}},
@@ -66,7 +66,7 @@ def test_a_domain_without_a_file_is_named() -> None:
 
 
 @pytest.mark.parametrize("place", ["domain", "dataset"])
-def test_what_is_said_of_algorithms_and_models_is_said_in_groups(place: str) -> None:
+def test_settings_of_algorithms_and_models_must_be_groups(place: str) -> None:
     name = {"domain": "robots", "dataset": "walker"}[place]
     for fields, says in (
         ({"model_for": 3}, rf"{place}\.{name}\.model_for=3 must be a group of keys"),

@@ -1,4 +1,4 @@
-"""Files of conf/: each describes one thing under its own name, whatever else lies beside it."""
+"""Files of conf/: the one key of each is its own name; other files beside them do no harm."""
 
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def test_a_copy_or_a_broken_file_is_refused_in_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_bytes_that_are_no_text_are_refused_where_hidden_files_are_not_looked_at(
+def test_binary_files_are_refused_and_hidden_files_ignored(
     folder: Path,
 ) -> None:
     (folder / "._bad-0.4.yaml").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")

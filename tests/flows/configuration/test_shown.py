@@ -1,4 +1,4 @@
-"""Shown settings: complete, and what the command line takes."""
+"""Shown settings: they are complete, and the command line takes them."""
 
 import sys
 from dataclasses import asdict
@@ -49,11 +49,11 @@ def test_what_is_shown_given_as_words_makes_the_same_settings() -> None:
     del found["dataset"]
     again = load_settings(leaves(found))
     smoke = load_settings(["profile=smoke"])
-    for name in type(smoke).model_fields.keys() - {"model_words", "special"}:
+    for name in type(smoke).model_fields.keys() - {"model_overrides", "special"}:
         assert getattr(again, name) == getattr(smoke, name), name
 
 
-def test_what_a_dataset_wants_otherwise_is_shown_below_it() -> None:
+def test_settings_that_a_dataset_changes_are_shown_below_it() -> None:
     found = shown("datasets=[bad-0.4,hopper]")["dataset"]
     assert found["bad-0.4"] == {
         "controller": "bad", "epsilon": 0.4, "setpoint": 70.0, "trajectories": 100, "steps": 1000,
@@ -76,7 +76,7 @@ def test_what_a_dataset_wants_otherwise_is_shown_below_it() -> None:
         (train_experts, train_experts.ALIASES),
     ],
 )
-def test_every_door_shows_them_and_stops(
+def test_every_door_shows_its_settings_and_stops(
     door: Any, aliases: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["door", "profile=smoke", "show_settings=true"])

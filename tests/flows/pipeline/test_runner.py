@@ -30,7 +30,7 @@ def store(tmp_path: Path) -> ArtifactStore:
 
 
 class Screen(Display):
-    """A display that remembers."""
+    """A display whose text can be read."""
 
     def __init__(self) -> None:
         super().__init__(Console(file=io.StringIO(), width=200))

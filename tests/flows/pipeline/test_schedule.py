@@ -10,7 +10,7 @@ from components.core.files import write_json
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.run_state import ComponentState, RunState
-from flows.pipeline.schedule import CostModel, Group, form_groups, play
+from flows.pipeline.schedule import CostModel, Group, form_groups, simulate_schedule
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
 from tests.flows.pipeline.toys import node
@@ -57,14 +57,14 @@ def test_lanes_that_wait_for_themselves_are_refused(store: ArtifactStore, tmp_pa
 
 
 @pytest.mark.parametrize(("slots", "whole"), [(1, 9.0), (2, 6.0), (8, 6.0)])
-def test_estimate_plays_the_schedule(
+def test_estimate_simulates_the_schedule(
     store: ArtifactStore, tmp_path: Path, slots: int, whole: float
 ) -> None:
     groups = groups_of(fan(tmp_path), store)
     costs = CostModel()
     seconds = {group.name: costs.seconds(group.nodes) for group in groups}
     # By hand: 1 + 1 + 2 + 2 + 3 one after the other; 1 + 2 + 3 with two at once.
-    assert max(play(groups, seconds, slots).values()) == whole
+    assert max(simulate_schedule(groups, seconds, slots).values()) == whole
 
 
 def test_estimate_learns_from_what_was_measured(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError
 from flows.pipeline.locks import locked
-from flows.pipeline.store import ArtifactStore, disk_sentence
+from flows.pipeline.store import ArtifactStore, disk_error_message
 
 A, B, C = (letter * 32 for letter in "abc")
 
@@ -56,8 +56,8 @@ def test_full_disk_is_named(tmp_path: Path) -> None:
         pytest.skip("this system has no /dev/full")
     with pytest.raises(OSError, match="No space") as caught, full.open("w") as file:
         file.write("x")
-    assert "is full: free space" in str(disk_sentence(caught.value, tmp_path))
-    assert disk_sentence(OSError(errno.EIO, "broken"), tmp_path) is None
+    assert "is full: free space" in str(disk_error_message(caught.value, tmp_path))
+    assert disk_error_message(OSError(errno.EIO, "broken"), tmp_path) is None
 
 
 def test_reading_store_makes_no_folder(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_work_that_another_process_removes_meanwhile_is_passed_over(
         return content
 
     monkeypatch.setattr("flows.pipeline.store.read_json", read_and_lose)
-    assert store.works() == [kept]
+    assert store.work_folders() == [kept]
 
 
 def test_part_of_begun_work_continues_on_a_copy(store: ArtifactStore) -> None:
@@ -101,7 +101,7 @@ def test_part_of_begun_work_continues_on_a_copy(store: ArtifactStore) -> None:
     assert copy.path != work.path
     assert copy.members == (A, B, C)
     assert (copy.path / "checkpoint").read_text() == "half"
-    # The whole is still there for whoever asks for the rest, or for all.
+    # The whole is still there for a call that needs the rest, or all.
     assert store.split([A, B, C]) == [[A, B, C]]
     assert store.open_work([A, B, C]).path == work.path
 
@@ -149,7 +149,7 @@ def test_repair_leaves_held_work_and_checkpoints_alone(store: ArtifactStore) -> 
         assert free  # the kernel gave the lock back
 
 
-def test_lock_file_removed_by_its_holder_locks_nobody_out(tmp_path: Path) -> None:
+def test_a_lock_file_removed_by_its_holder_does_not_block_the_next(tmp_path: Path) -> None:
     with locked(tmp_path / "lock") as first:
         assert first
         with locked(tmp_path / "lock", wait=False) as second:

@@ -120,7 +120,7 @@ def threads(jobs: Sequence[Job], context: TaskContext) -> None:
 
 
 def nothing(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Forgets to write."""
+    """Writes nothing."""
 
 
 def interrupted(jobs: Sequence[Job], context: TaskContext) -> None:

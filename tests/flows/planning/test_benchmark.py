@@ -69,7 +69,7 @@ def test_how_it_runs_changes_no_key(word: str) -> None:
 MODELS = {"behaviour_policy", "recurrent_ensemble"}
 AFTER_LION = {"lion", "evaluate/lion", "aggregate/lion"}
 AFTER_TD3_BC = {"td3_bc", "evaluate/td3_bc", "aggregate/td3_bc"}
-JUDGED = {"evaluate/lion", "evaluate/td3_bc", "aggregate/lion", "aggregate/td3_bc"}
+EVALUATED = {"evaluate/lion", "evaluate/td3_bc", "aggregate/lion", "aggregate/td3_bc"}
 
 
 @pytest.mark.parametrize(
@@ -82,16 +82,16 @@ JUDGED = {"evaluate/lion", "evaluate/td3_bc", "aggregate/lion", "aggregate/td3_b
         ("model.recurrent_ensemble.updates=21", {"recurrent_ensemble"} | AFTER_LION),
         ("model.recurrent_ensemble.learning_rate=0.004", {"recurrent_ensemble"} | AFTER_LION),
         # the distance to the behaviour policy is measured for every algorithm
-        ("model.behaviour_policy.epochs=3", {"behaviour_policy"} | AFTER_LION | JUDGED),
+        ("model.behaviour_policy.epochs=3", {"behaviour_policy"} | AFTER_LION | EVALUATED),
         ("algorithm.lion.eta=0.2", AFTER_LION),
         ("algorithm.lion.updates=9", AFTER_LION),
         ("algorithm.lion.hidden=[17]", AFTER_LION),
         ("algorithm.td3_bc.alpha=2.6", AFTER_TD3_BC),
         ("algorithm.td3_bc.discount=0.9", AFTER_TD3_BC),
         ("training.snapshots=5", AFTER_LION | AFTER_TD3_BC),
-        ("evaluation.trajectories=3", JUDGED),
-        ("evaluation.horizon=21", JUDGED),
-        ("evaluation.lambda_step=0.25", JUDGED),
+        ("evaluation.trajectories=3", EVALUATED),
+        ("evaluation.horizon=21", EVALUATED),
+        ("evaluation.lambda_step=0.25", EVALUATED),
         ("aggregation.pool_fraction=0.2", {"aggregate/lion", "aggregate/td3_bc"}),
     ],
 )
@@ -141,8 +141,8 @@ def test_algorithms_and_seeds_share_the_models() -> None:
         td3_bc = node(made, f"td3_bc/bad-0.4/seed{seed}").inputs
         assert set(td3_bc) == {"dataset"}
         assert lion["dataset"].key == td3_bc["dataset"].key
-        judged = node(made, f"evaluate/td3_bc/bad-0.4/seed{seed}").inputs
-        assert judged["behaviour_policy"].key == lion["behaviour_policy"].key
+        evaluated = node(made, f"evaluate/td3_bc/bad-0.4/seed{seed}").inputs
+        assert evaluated["behaviour_policy"].key == lion["behaviour_policy"].key
 
 
 def fits(made: Plan) -> dict[tuple[str, str], list[str]]:
@@ -167,8 +167,8 @@ def test_policies_of_a_seed_can_have_models_of_their_own() -> None:
             assert config["seed"] == seed
             assert config | {"seed": 0} == node(shared, f"{role}/bad-0.4").config
         # distances are measured to one behaviour policy, whatever the policy was trained with
-        judge = node(own, f"evaluate/lion/bad-0.4/seed{seed}").inputs["behaviour_policy"]
-        assert judge.key == node(shared, "behaviour_policy/bad-0.4").key
+        reference = node(own, f"evaluate/lion/bad-0.4/seed{seed}").inputs["behaviour_policy"]
+        assert reference.key == node(shared, "behaviour_policy/bad-0.4").key
     before, after = keys(shared), keys(own)
     assert before["lion/bad-0.4/seed0"] == after["lion/bad-0.4/seed0"]
     assert before["lion/bad-0.4/seed1"] != after["lion/bad-0.4/seed1"]
@@ -203,8 +203,8 @@ def test_one_policy_per_penalty() -> None:
     default = one.by_component()["policy_training"][0]
     assert default.config["settings"]["penalty"] == 1.0
     assert keys(swept)["mopo-penalty-1/bad-0.4/seed0"] == keys(one)["mopo/bad-0.4/seed0"]
-    judged = "evaluate/mopo-penalty-1/bad-0.4/seed0"
-    assert keys(swept)[judged] == keys(one)["evaluate/mopo/bad-0.4/seed0"]
+    evaluated = "evaluate/mopo-penalty-1/bad-0.4/seed0"
+    assert keys(swept)[evaluated] == keys(one)["evaluate/mopo/bad-0.4/seed0"]
     summary = node(swept, "aggregate/mopo-penalty-0/bad-0.4")
     assert summary.config["algorithm"] == "mopo-penalty-0"
     assert summary.tags == {"dataset": "bad-0.4", "algorithm": "mopo", "penalty": "0"}

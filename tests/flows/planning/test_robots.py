@@ -1,4 +1,4 @@
-"""Robots in the plan: what their datasets are made with, and what is asked of their models."""
+"""Robots in the plan: the experts of their datasets, and the settings of their models."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 from components.data.sources.robots import RobotSpec
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.planning.benchmark import benchmark_plan, data_plan
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 
 
 @pytest.fixture
@@ -50,10 +50,10 @@ def test_the_expert_is_part_of_a_dataset_s_identity(
     assert all(before[name] != after[name] for name in before)
 
 
-def test_policies_are_judged_on_the_robot_they_learned_from(planned: Settings) -> None:
+def test_policies_are_evaluated_on_the_robot_they_learned_from(planned: Settings) -> None:
     nodes = [node for node in benchmark_plan(planned) if node.component == "evaluation"]
-    judged = {(n.tags["dataset"], n.config["environment"]) for n in nodes}
-    assert judged == {("swimmer", "proximity/Swimmer-v0"), ("hopper", "proximity/Hopper-v0")}
+    evaluated = {(n.tags["dataset"], n.config["environment"]) for n in nodes}
+    assert evaluated == {("swimmer", "proximity/Swimmer-v0"), ("hopper", "proximity/Hopper-v0")}
     assert all(n.config["parameters"] == {"physics": "v3"} for n in nodes)
     assert {n.config["evaluation"]["discount"] for n in nodes} == {0.99}
 
@@ -68,9 +68,9 @@ def test_robots_of_different_shapes_are_no_lanes_of_one_stack(planned: Settings)
     assert sorted(lanes.values(), key=str) == [{"hopper"}, {"swimmer"}]
 
 
-def test_how_far_back_models_look_is_no_question_where_one_frame_shows_all(
+def test_the_history_of_models_is_not_searched_where_one_frame_is_the_state(
     planned: Settings,
 ) -> None:
-    for subject in search_subjects(planned):
-        assert subject.space.keys() & {"history", "warm_up"} == set()
-        assert "hidden" in subject.space
+    for specification in study_specifications(planned):
+        assert specification.space.keys() & {"history", "warm_up"} == set()
+        assert "hidden" in specification.space

@@ -1,4 +1,4 @@
-"""Datasets without a system: their plans end at the policies, and their runs too."""
+"""Datasets without a system: their plans and their sweeps end at the policies."""
 
 import dataclasses
 import json
@@ -58,11 +58,11 @@ def test_plans_end_at_the_policies(project: Path) -> None:
         f"{name}/my-log/seed{seed}" for name in ("bc", "td3_bc") for seed in (0, 1)
     }
     both = benchmark_plan(chosen("algorithms=[bc]", "datasets=[my-log,bad-0.0]"))
-    judged = {node.tags["dataset"] for node in both if node.component == "evaluation"}
-    assert judged == {"bad-0.0"}
+    evaluated = {node.tags["dataset"] for node in both if node.component == "evaluation"}
+    assert evaluated == {"bad-0.0"}
 
 
-def test_the_log_s_content_is_in_the_key_and_its_place_and_the_data_s_seed_are_not(
+def test_the_key_holds_the_content_of_a_log_but_not_its_folder_or_the_data_seed(
     project: Path,
 ) -> None:
     before = data_key(data_plan(chosen()))
@@ -97,12 +97,12 @@ def test_the_log_is_stored_like_any_dataset_and_learned_from(project: Path) -> N
             assert Policy.load(policies[0]).card.history == LOG.card.history
 
 
-def test_the_door_ends_well_and_says_that_nothing_judges(
+def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
     project: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("algorithms=[bc]", "runner.executor=serial", f"store={project / 'store'}")
     assert full_benchmark._run(chosen(*words)) == 0
-    said = "my-log comes with no system to evaluate on, so its policies are stored and not judged."
+    said = "my-log has no system to evaluate on: its policies are stored but not evaluated."
     assert f"Note: {said}" in capsys.readouterr().out
     [report] = (project / "store" / "reports").glob("*/results.md")
     assert f"- {said}" in report.read_text(encoding="utf-8")
@@ -147,5 +147,5 @@ def test_wrong_files_of_logs_are_refused(project: Path, line: str, message: str)
         chosen()
 
 
-def test_all_datasets_are_still_those_that_are_generated() -> None:
+def test_all_selects_the_generated_datasets_only() -> None:
     assert len(load_settings([]).datasets) == 19

@@ -63,7 +63,7 @@ def problems(home: Path, log: Path) -> list[str]:
     ended = [trial for trial in made.trials() if has_ended(trial)]
     keys = [trial.user_attrs["key"] for trial in ended]
     found = []
-    if len(ended) != TRIALS or made.spent != TRIALS:
+    if len(ended) != TRIALS or made.ended != TRIALS:
         found.append(f"{len(ended)} trials")
     if len(set(keys)) != TRIALS:
         found.append("duplicates")

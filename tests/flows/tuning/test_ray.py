@@ -13,7 +13,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.study import _COMPARED_FROM, _PATIENCE, has_ended
 from tests.flows.pipeline.toys import counted, wait_for
-from tests.flows.tuning.toys import STEPS, study, subject
+from tests.flows.tuning.toys import STEPS, specification, study
 
 TRIALS = _COMPARED_FROM + 3
 
@@ -32,7 +32,7 @@ def start(home: Path, log: Path) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow(40)
-def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: Path) -> None:
+def test_a_killed_search_continues_and_pruned_trials_stop_in_ray_s_workers(tmp_path: Path) -> None:
     home, log = tmp_path / "mlruns", tmp_path / "log"
     log.mkdir()
     made = study(home, log)
@@ -40,7 +40,7 @@ def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: P
     for k in range(_COMPARED_FROM):
         made._study.enqueue_trial({"x": 0.31 + 0.01 * k, "mood": "good"})
     made._study.enqueue_trial({"x": 0.5, "mood": "bad"})
-    bad = subject(log).node_of({"x": 0.5, "mood": "bad"}, 0)
+    bad = specification(log).node_of({"x": 0.5, "mood": "bad"}, 0)
 
     (log / "hold").touch()
     with start(home, log) as driver:
@@ -53,13 +53,13 @@ def test_a_killed_search_continues_and_ray_s_workers_hear_of_pruning(tmp_path: P
     assert set(steps.values()) == {6}
 
     (log / "go").touch()
-    (log / f"slow-{bad.key}").touch()  # so that the driver can judge it before it is done
+    (log / f"slow-{bad.key}").touch()  # so that the driver can prune it before it is done
     with start(home, log) as driver:
         out, text = driver.communicate(timeout=300)
     assert (driver.returncode, out) == (0, ""), text
     made = study(home, log)
     trials = made.trials()
-    assert made.spent == TRIALS
+    assert made.ended == TRIALS
     assert [t.state.name for t in trials[:2]] == ["FAIL"] * 2
     assert not any(has_ended(t) for t in trials[:2])
     ended = [t for t in trials if has_ended(t)]

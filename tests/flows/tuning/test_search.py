@@ -14,7 +14,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.tuning import space as spaces
 from flows.tuning.study import _COMPARED_FROM, _PATIENCE, ended_trials, has_ended, open_journal
 from tests.flows.pipeline.toys import counted
-from tests.flows.tuning.toys import SPACE, STEPS, ToyConfig, run, study, subject
+from tests.flows.tuning.toys import SPACE, STEPS, ToyConfig, run, specification, study
 
 
 @pytest.fixture
@@ -52,14 +52,16 @@ def test_the_start_is_the_first_trial_and_the_best_is_never_worse(home: Path, lo
 def test_more_trials_extend_a_study_and_nothing_is_drawn_twice(home: Path, log: Path) -> None:
     for trials in (5, 5, 10, 15):
         assert run(home, log, trials).exit_code == 0
-        assert study(home, log).spent == trials
+        assert study(home, log).ended == trials
     trials = study(home, log).trials()
     assert [t.number for t in trials] == list(range(15))
     assert len({t.params["x"] for t in trials}) == 15
-    assert ended_trials(home / "optuna" / "journal.log", [subject(log)]) == {subject(log).name: 15}
+    assert ended_trials(home / "optuna" / "journal.log", [specification(log)]) == {
+        specification(log).name: 15
+    }
 
 
-def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) -> None:
+def test_pruned_trials_end_early_and_are_not_failures(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     for k in range(_COMPARED_FROM - 1):  # beside the start
@@ -70,7 +72,7 @@ def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) ->
     *others, last = study(home, log).trials()
     assert {t.state for t in others} == {TrialState.COMPLETE}
     assert last.state is TrialState.PRUNED
-    node = subject(log).node_of(last.params, last.number)
+    node = specification(log).node_of(last.params, last.number)
     done = counted(log, f"step-{node.key}")
     assert done == round(_PATIENCE / 100 * STEPS)  # as soon as its patience ends
     assert counted(log, f"finished-{node.key}") == 0
@@ -82,7 +84,7 @@ def test_hopeless_trials_end_early_and_are_no_failures(home: Path, log: Path) ->
     assert counted(log, f"step-{node.key}") == done
 
 
-def test_a_trial_is_judged_anew_with_every_other_that_ends(home: Path, log: Path) -> None:
+def test_pruning_is_decided_again_whenever_another_trial_ends(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     others = [made.ask() for _ in range(_COMPARED_FROM)]
@@ -90,19 +92,19 @@ def test_a_trial_is_judged_anew_with_every_other_that_ends(home: Path, log: Path
     for trial in [*others, bad]:
         made.report(trial, 0.65, 9.0 if trial is bad else 1.0)
     for trial in others:
-        assert not made.hopeless(bad)  # too few to compare with
+        assert not made.should_prune(bad)  # too few to compare with
         made.complete(trial, 1.0)
-    assert made.hopeless(bad)  # without a new loss of its own
+    assert made.should_prune(bad)  # without a new loss of its own
 
 
-def test_a_trial_that_was_found_hopeless_stays_so_after_a_kill(home: Path, log: Path) -> None:
+def test_a_trial_marked_for_pruning_is_pruned_after_a_kill(home: Path, log: Path) -> None:
     made = study(home, log)
     made.recover()
     trial = made.ask()
-    node = subject(log).node_of(trial.params, 0)
+    node = specification(log).node_of(trial.params, 0)
     trial.set_user_attr("key", node.key)
     made.report(trial, 0.3, 5.0)
-    made.give_up(trial)
+    made.mark_for_pruning(trial)
     work = ArtifactStore(home).open_work([node.key])
     (work.path / "checkpoint").touch()
     # ... and here the driver was killed
@@ -125,7 +127,7 @@ def test_failing_trials_say_why_and_the_search_goes_on(home: Path, log: Path) ->
     assert [t.state.name for t in trials[:3]] == ["COMPLETE", "FAIL", "FAIL"]
     assert trials[1].user_attrs["error"] == "x must not be 0."
     assert trials[2].user_attrs["error"] == "ValueError: this toy is in a bad mood"
-    assert study(home, log).spent == len(trials) == 4
+    assert study(home, log).ended == len(trials) == 4
     assert any("failed: ValueError: this toy is in a bad mood" in note for note in notes)
 
 
@@ -155,8 +157,8 @@ def test_ctrl_c_ends_the_search_and_the_next_one_continues_it(home: Path, log: P
     made = study(home, log)
     assert [t.state.name for t in made.trials()] == ["FAIL", *["COMPLETE"] * 3]
     assert made.start_trial().number == 1
-    assert made.spent == 3
-    key = subject(log).node_of(made.trials()[1].params, 1).key
+    assert made.ended == 3
+    key = specification(log).node_of(made.trials()[1].params, 1).key
     assert counted(log, f"step-{key}") == STEPS + 1  # step 5 was begun twice
 
 
@@ -170,7 +172,7 @@ def test_what_is_finished_elsewhere_is_not_fitted_again(home: Path, log: Path) -
     assert made.best().value == pytest.approx(0.36)
 
 
-def test_a_new_start_becomes_a_trial_of_a_study_that_has_its_number(home: Path, log: Path) -> None:
+def test_a_new_start_is_tried_in_a_study_that_has_all_its_trials(home: Path, log: Path) -> None:
     run(home, log, 2)
     other = study(home, log, x=0.5)
     assert other.name == study(home, log).name
@@ -197,7 +199,7 @@ def test_a_half_written_line_of_the_journal_is_cut(home: Path, log: Path) -> Non
     with path.open("a") as file:
         file.write('{"op_code": 4, "wor')
     assert run(home, log, 3).exit_code == 0
-    assert study(home, log).spent == 3
+    assert study(home, log).ended == 3
     open_journal(path)
     assert path.read_bytes().endswith(b"\n")
 
@@ -210,7 +212,7 @@ def test_drawing_the_same_twice_costs_one_fit(home: Path, log: Path) -> None:
     run(home, log, 3)
     one, two = study(home, log).trials()[1:]
     assert one.value == two.value
-    node = subject(log).node(spaces.settings(SPACE, subject(log).start, one.params))
+    node = specification(log).node(spaces.settings(SPACE, specification(log).start, one.params))
     assert counted(log, f"finished-{node.key}") == 1
 
 

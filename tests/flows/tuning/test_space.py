@@ -9,7 +9,7 @@ import pytest
 from components.models import MODELS
 from flows.configuration.settings import load_settings
 from flows.tuning import space as spaces
-from flows.tuning.space import SPACES, Choice, Range, RangeOrZero, Whole
+from flows.tuning.space import SPACES, Choice, IntegerRange, Range, RangeOrZero
 
 settings_of = functools.cache(lambda profile: load_settings([f"profile={profile}"]))
 NEVER = {"members", "elites", "holdout", "horizon", "epochs", "updates", "validate_every",
@@ -21,7 +21,7 @@ def test_every_model_has_a_space() -> None:
 
 
 @pytest.mark.parametrize("model", SPACES)
-def test_spaces_vary_what_matters_and_leave_the_loss_s_meaning_alone(model: str) -> None:
+def test_spaces_vary_nothing_that_changes_the_meaning_of_the_loss(model: str) -> None:
     fields = {field.name for field in dataclasses.fields(MODELS[model].config)}
     assert set(SPACES[model]) <= fields - NEVER
     # whatever else there is to choose is searched
@@ -71,7 +71,7 @@ def test_a_start_outside_widens_the_space_and_is_kept_exactly() -> None:
     space = {
         "rate": Range(1e-4, 1e-2),
         "decay": RangeOrZero(1e-6, 1e-2),
-        "width": Whole(10, 20),
+        "width": IntegerRange(10, 20),
         "layers": Choice(((1,), (2, 2))),
     }
     start = Config()

@@ -20,7 +20,7 @@ from flows.pipeline.json_lines import read_lines
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.study import Study, open_journal
@@ -68,7 +68,7 @@ def studies_of(home: Path) -> dict[str, Study]:
     words = [*words_of(home), f"models=[{','.join(CHOSEN)}]"]
     settings = load_settings(words, tune_models.ALIASES)
     journal = open_journal(home / "mlruns" / "optuna" / "journal.log")
-    return {s.model: Study(s, journal) for s in search_subjects(settings)}
+    return {s.model: Study(s, journal) for s in study_specifications(settings)}
 
 
 def fits(settings: Settings) -> dict[str, Node]:
@@ -79,7 +79,7 @@ def fits(settings: Settings) -> dict[str, Node]:
 @pytest.mark.parametrize("model", CHOSEN)
 def test_the_file_says_what_was_found(model: str, home: Path) -> None:
     study, store = studies_of(home)[model], ArtifactStore(home / "mlruns")
-    assert study.spent == TRIALS
+    assert study.ended == TRIALS
     best, start = study.best(), study.start_trial()
     path = home / "conf" / "mediocre-0.2" / f"{model}.yaml"
     found = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -87,7 +87,7 @@ def test_the_file_says_what_was_found(model: str, home: Path) -> None:
     assert (found["study"], found["trial"], found["trials"]) == (study.name, best.number, TRIALS)
     assert found["validation_loss"] == best.value <= found["default_validation_loss"]
     assert found["default_validation_loss"] == start.value
-    data = study.subject.data
+    data = study.specification.data
     assert found["data_key"] == data.key
     dataset = OfflineDataset.open(store.path(data.key) / "dataset")
     assert found["data_digest"] == dataset.card.digest
@@ -179,7 +179,7 @@ def test_the_same_command_again_changes_nothing(
     assert door(tune_models, words, tune_models.ALIASES) == 0
     assert "; the default has " in capsys.readouterr().out
     assert {path.name for path in (store / "nodes").iterdir()} == before
-    assert studies_of(home)[CHOSEN[0]].spent == TRIALS
+    assert studies_of(home)[CHOSEN[0]].ended == TRIALS
     with sqlite3.connect(store / "mlflow.db") as database:
         [(found,)] = database.execute("select count(*) from tags where key = 'trial'")
     assert found == len(CHOSEN) * TRIALS
@@ -241,7 +241,7 @@ def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("settings: [", "it is no YAML"),
+        ("settings: [", "it is not YAML"),
         ("just text", "it holds no settings"),
         ({"trial": None}, "it must hold dataset, model, .* settings and nothing else, see 'trial'"),
         ({"model": "wsbc"}, "it is about wsbc on mediocre-0.2"),
@@ -250,7 +250,7 @@ def test_trials_of_every_kind_have_one_line(tmp_path: Path) -> None:
         ({"settings.epochs": None}, "settings lacks epochs"),
         ({"settings.epochs": 0}, "settings: epochs, batch and every hidden width must be"),
         ({"settings.batch": "many"}, "settings.batch='many': Input should be a valid integer"),
-        ({"settings.batch": True}, "settings.batch=true: Input should be no boolean"),
+        ({"settings.batch": True}, "settings.batch=true: Input should not be a boolean"),
     ],
 )
 @pytest.mark.slow(1)
@@ -275,7 +275,7 @@ def test_a_wrong_file_is_named_with_its_remedy(
     message = str(caught.value)
     assert message.startswith(f"{path} cannot be used (")
     assert message.endswith(
-        "); make it anew with 'python -m flows.tune_models datasets=[mediocre-0.2] "
+        "); make it again with 'python -m flows.tune_models datasets=[mediocre-0.2] "
         "models=[behaviour_policy]', or use models=default."
     )
     assert "\n" not in message

@@ -1,4 +1,4 @@
-"""A search never comes near a real system: not in what it loads, not in what it does."""
+"""A search reaches no real system: it loads no environment and steps none."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import NullTracker
 from flows.planning.benchmark import data_plan
-from flows.planning.subjects import search_subjects
+from flows.planning.studies import study_specifications
 from flows.tuning.search import search
 from flows.tuning.study import Study, open_journal
 from flows.tuning.trials import NullTrials
@@ -89,8 +89,8 @@ def test_no_environment_is_stepped_during_a_search(
         for name in {"step", "reset"} & set(vars(kind)):
             monkeypatch.setattr(kind, name, refuse)
     journal = open_journal(tmp_path / "journal.log")
-    studies = [Study(subject, journal) for subject in search_subjects(settings)]
+    studies = [Study(specification, journal) for specification in study_specifications(settings)]
     outcome = search(studies, 2, store, NullTrials(), SerialExecutor(), lambda text: None)
     assert outcome.exit_code == 0
-    assert [study.spent for study in studies] == [2, 2]
+    assert [study.ended for study in studies] == [2, 2]
     assert stepped == []

@@ -12,9 +12,9 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
-from flows.tuning.search import Outcome, search
+from flows.tuning.search import SearchOutcome, search
 from flows.tuning.space import Choice, Range, Space
-from flows.tuning.study import Study, Subject, open_journal
+from flows.tuning.study import Study, StudySpecification, open_journal
 from flows.tuning.trials import NullTrials
 from tests.flows.pipeline.toys import count, wait_for
 
@@ -44,9 +44,10 @@ def loss(settings: dict[str, Any]) -> float:
 def fit(jobs: Sequence[Job], context: TaskContext) -> None:
     """Approaches the loss step by step, with a checkpoint after each.
 
-    A file in the log folder changes its mind: `die-N` kills the process at step N, once;
-    `interrupt` presses Ctrl-C at step 5, once; `fail-bad` makes bad moods fail; with `hold` it
-    waits at step 5 for `go`, with `slow-KEY` late in the fit for the driver to give it up.
+    A file in the log folder changes what it does: `die-N` kills the process at step N, once;
+    `interrupt` presses Ctrl-C at step 5, once; `fail-bad` makes trials with `mood=bad` fail;
+    with `hold` it waits at step 5 for `go`, with `slow-KEY` late in the fit for the driver to stop
+    it.
     """
     (job,) = jobs
     settings, checkpoint = job.config["settings"], context.work / "checkpoint.json"
@@ -77,7 +78,7 @@ def data_node() -> Node:
     return Node("data", "data/toy", "tests.flows.tuning.toys:fit", 1, {"toy": True})
 
 
-def subject(log: Path, **start: Any) -> Subject:
+def specification(log: Path, **start: Any) -> StudySpecification:
     """A search of the toy."""
 
     def node(config: ToyConfig) -> Node:
@@ -90,15 +91,17 @@ def subject(log: Path, **start: Any) -> Subject:
             tags={"dataset": "made-up", "model": "toy"},
         )
 
-    return Subject("made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node)
+    return StudySpecification(
+        "made-up", "toy", ToyConfig(log=str(log), **start), SPACE, data_node(), node
+    )
 
 
 def study(home: Path, log: Path, **start: Any) -> Study:
     """The study as a new driver opens it."""
-    return Study(subject(log, **start), open_journal(home / "optuna" / "journal.log"))
+    return Study(specification(log, **start), open_journal(home / "optuna" / "journal.log"))
 
 
-def run(home: Path, log: Path, trials: int, **kind: Any) -> Outcome:
+def run(home: Path, log: Path, trials: int, **kind: Any) -> SearchOutcome:
     """A whole search by a new driver, in this process."""
     notes = kind.pop("notes", [])
     tracker = kind.pop("tracker", NullTrials())

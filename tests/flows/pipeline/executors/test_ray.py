@@ -135,8 +135,8 @@ def test_killed_driver_continues_to_the_same_result(tmp_path: Path) -> None:
 
 def test_a_silent_address_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound but not listening: nobody answers here
+        taken.bind(("127.0.0.1", 0))  # bound but not listening: nothing answers here
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         monkeypatch.setenv("RAY_ADDRESS", address)
-        with pytest.raises(PipelineError, match=f"Nobody answers at RAY_ADDRESS={address}"):
+        with pytest.raises(PipelineError, match=f"Nothing answers at RAY_ADDRESS={address}"):
             RayExecutor().start(print)

@@ -1,4 +1,4 @@
-"""The lines a sweep leaves in its file, and that none is there twice."""
+"""The lines that a sweep writes into its file, each once."""
 
 import json
 import subprocess
@@ -11,7 +11,7 @@ from rich.console import Console
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.json_lines import append_line, cut_half_line, read_lines
+from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -140,12 +140,12 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path: Path) -> None:
 
 def test_half_lines_are_cut_and_whole_files_stay(tmp_path: Path) -> None:
     file = tmp_path / "lines.jsonl"
-    cut_half_line(file)
+    remove_partial_line(file)
     assert read_lines(file) == []
     file.write_text('{"a": 1}\n{"b"')
-    cut_half_line(file)
+    remove_partial_line(file)
     assert file.read_text() == json.dumps({"a": 1}) + "\n"
-    cut_half_line(file)
+    remove_partial_line(file)
     assert read_lines(file) == [{"a": 1}]
 
 

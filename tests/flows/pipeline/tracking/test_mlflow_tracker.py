@@ -1,4 +1,4 @@
-"""What really stands in MLflow's database and artifact folder afterwards."""
+"""The content of MLflow's database and artifact folder after a sweep."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""The words of a command line: ``key=value`` by Hydra's grammar."""
+"""Overrides on a command line: ``key=value`` in Hydra's grammar."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,17 +9,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from flows.configuration.checking import SettingsError, hint
 
-__all__ = ["ALIASES", "check_keys", "modernise", "parse_words", "split_words"]
+__all__ = ["ALIASES", "check_keys", "parse_overrides", "rename_old_keys", "split_overrides"]
 
 ALIASES: Mapping[str, str] = {"models": "models.source"}
-"""Short keys of the command line and what they stand for; a door may have others."""
+"""Short keys of the command line and the full keys they stand for; a door may have others."""
 
 _RENAMED = {("evaluation", "lambda_step"): "proximity_step"}
-"""Keys by the group they are in, and what they are called today."""
+"""Old keys, each with its group, and their names of today."""
 
 
-def split_words(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, list[str]]:
-    """The profile, and the other words with the full names of today's keys.
+def split_overrides(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, list[str]]:
+    """The profile, and the other overrides with full keys under their names of today.
 
     Raises:
         SettingsError: A word is no key=value.
@@ -39,8 +39,8 @@ def split_words(words: Sequence[str], aliases: Mapping[str, str]) -> tuple[str, 
     return profile, rest
 
 
-def modernise(layer: DictConfig) -> DictConfig:
-    """Give keys of files and words the names of today; changes the layer."""
+def rename_old_keys(layer: DictConfig) -> DictConfig:
+    """Give old keys of a file or a command line their names of today; changes the layer."""
     for (group, old), new in _RENAMED.items():
         fields = layer.get(group)
         if isinstance(fields, DictConfig) and old in fields:
@@ -48,8 +48,8 @@ def modernise(layer: DictConfig) -> DictConfig:
     return layer
 
 
-def parse_words(words: Sequence[str]) -> DictConfig:
-    """The values of words, as a nested configuration.
+def parse_overrides(words: Sequence[str]) -> DictConfig:
+    """The values of overrides, as a nested configuration.
 
     Raises:
         SettingsError: A word does not follow the grammar.
@@ -69,14 +69,14 @@ def parse_words(words: Sequence[str]) -> DictConfig:
                 f"{override.key_or_group}=[...]."
             )
         OmegaConf.update(parsed, override.key_or_group, override.value(), force_add=True)
-    return modernise(parsed)
+    return rename_old_keys(parsed)
 
 
 def check_keys(words: Sequence[str], base: DictConfig) -> None:
-    """Refuse keys that nothing has.
+    """Refuse unknown keys.
 
     Args:
-        words: With full keys.
+        words: Overrides with full keys.
         base: A configuration with every valid key.
 
     Raises:
