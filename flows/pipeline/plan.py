@@ -44,10 +44,9 @@ class Node:
         version: Version of the component's code; raise it when results change.
         config: All settings that can change the result; JSON-able.
         inputs: The nodes whose artifacts it reads, by role.
-        tags: Dataset, algorithm, seed; trackers find nodes by them. Not in the key.
         folders: Absolute folders outside the store that it reads, by role. Not in the key: the
             configuration holds digests of what must lie there.
-        tags: For people and searches: dataset, algorithm, seed. Not in the key.
+        tags: Dataset, algorithm, seed; trackers find nodes by them. Not in the key.
         lanes: Pending nodes with the same non-empty value are computed in one task call.
         cost: Rough core-seconds, for the order of work and the estimate.
     """
