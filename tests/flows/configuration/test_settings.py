@@ -160,7 +160,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("evaluation.horizon=x", "evaluation.horizon='x': .* integer"),
         ("aggregation.pool_fraction=2", "less than or equal to 1"),
         ("runner.executor=dask", "should be 'ray' or 'serial'"),
-        ("runner.tracker=paper", "should be 'mlflow', 'file' or 'none'"),
+        ("runner.tracker=paper", "should be 'mlflow', 'file'"),
         ("runner.device=tpu", "'auto', 'cpu' or 'cuda'"),
         ("runner.cpus=0", "greater than or equal to 1"),
         ("runner.gpu_share=0", "greater than 0"),
