@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
-from flows.configuration.settings import Settings
+from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
@@ -55,8 +55,13 @@ def _generate(settings: Settings, plan: Plan, store: ArtifactStore) -> int:
     return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, lambda outcome: ([], {}))
 
 
-def _make_trials(settings: Settings) -> Trials:
-    """The record of trials that `runner.tracker` names."""
+def make_trials(settings: Settings) -> Trials:
+    """The record of trials that `runner.tracker` names.
+
+    Raises:
+        SettingsError: This tracker has none.
+        TrackingError: MLflow cannot be used.
+    """
     match settings.runner.tracker:
         case "mlflow":
             return MlflowTrials(settings.store, source=command_words()[1])
@@ -64,6 +69,10 @@ def _make_trials(settings: Settings) -> Trials:
             return FileTrials(settings.store)
         case "none":
             return NullTrials()
+        case other:
+            raise SettingsError(
+                f"runner.tracker={other} records no searches; use mlflow, file or none."
+            )
 
 
 def _journal(settings: Settings) -> Path:
@@ -87,7 +96,7 @@ def _run(settings: Settings) -> int:
     name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
     command = shlex.join(["python", *command_words()])
     console.note(f"Search {name} in {settings.store}/; journal {_journal(settings)}")
-    tracker = _make_trials(settings)
+    tracker = make_trials(settings)
     tracker.open(
         name,
         {"profile": settings.profile_name, "command": command, "kind": "search"},

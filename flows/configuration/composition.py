@@ -15,7 +15,7 @@ from flows.configuration.defaults import component_defaults
 from flows.configuration.files import CONF, names_in, read_file, read_folder
 from flows.configuration.overrides import rename_old_keys
 
-__all__ = ["DEVIATIONS", "base_layers", "merged", "special_settings"]
+__all__ = ["DEVIATIONS", "base_layers", "merged", "special_settings", "with_limits"]
 
 
 class Deviations(StrictModel):
@@ -32,6 +32,13 @@ class Deviations(StrictModel):
     model_for: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
 
 
+class Limits(StrictModel):
+    """What the algorithms and models that a profile does not name have at most, by field."""
+
+    algorithm: dict[str, int] = Field(default_factory=dict)
+    model: dict[str, int] = Field(default_factory=dict)
+
+
 DEVIATIONS = tuple(Deviations.model_fields)
 """Keys of a dataset's file that change settings of algorithms and models."""
 
@@ -41,8 +48,8 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
     """The layers below the command line. They are cached: the caller must not change them.
 
     Returns:
-        Defaults of components with the datasets and domains of conf/; and the layer that wins over
-        them, conf/config.yaml with the profile.
+        Defaults of components with the datasets and domains of conf/; and what wins over them:
+        conf/config.yaml with the profile, its `others` spelled out.
 
     Raises:
         SettingsError: There is no such profile, or a file of conf/ is wrong.
@@ -57,7 +64,38 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
     chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )
-    return OmegaConf.create(component_defaults() | groups), rename_old_keys(chosen)
+    defaults = component_defaults()
+    limited = with_limits(chosen, defaults)
+    return OmegaConf.create(defaults | groups), rename_old_keys(limited)
+
+
+def with_limits(chosen: DictConfig, defaults: Mapping[str, Any]) -> DictConfig:
+    """Settings for the algorithms and models that a profile does not name.
+
+    Its group `others` says what they have at most, e.g. `others.algorithm.updates`. Those that have
+    such a field get this much, or their default where that is less.
+
+    Args:
+        chosen: conf/config.yaml with the profile.
+        defaults: By group and name, see `component_defaults`.
+
+    Returns:
+        The same with settings of all algorithms and models in place of `others`.
+
+    Raises:
+        SettingsError: `others` holds anything but whole numbers by group and field.
+    """
+    limits = build_config(Limits, "others", chosen.get("others", {})).model_dump()
+    unnamed = {
+        group: {
+            name: {key: min(fields[key], most[key]) for key in most if key in fields}
+            for name, fields in defaults[group].items()
+            if _node(chosen, (group, name)) is None
+        }
+        for group, most in limits.items()
+    }
+    rest = OmegaConf.masked_copy(chosen, [key for key in chosen if key != "others"])
+    return merged([OmegaConf.create(unnamed), rest])
 
 
 def merged(layers: Sequence[DictConfig]) -> DictConfig:

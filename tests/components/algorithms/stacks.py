@@ -14,9 +14,8 @@ from components.data.batches import Batch, LaneData
 from components.data.dataset import OfflineDataset
 from tests.components.synthetic import CPU, make_log, random_model, relabelled
 
-SMALL: dict[str, dict[str, Any]] = {
-    "bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
-    "ddpg": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
+PLAIN: dict[str, Any] = {"hidden": (8,), "batch": 16, "learning_rate": 1e-3}
+SMALL: dict[str, dict[str, Any]] = {  # the others are small with PLAIN
     "bcq": {
         "hidden": (8,),
         "vae_hidden": (8,),
@@ -50,13 +49,11 @@ SMALL: dict[str, dict[str, Any]] = {
         "actor_learning_rate": 1e-3,
         "learning_rate": 1e-3,
     },
-    "lambda_td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
     "rvs": {"hidden": (8,), "batch": 16, "window": 10},
     "lion": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
     "moose": {"hidden": (8,), "trajectories": 4, "horizon": 5, "learning_rate": 1e-2},
     "model_based": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
     "wsbc": {"box": 0.3, "particles": 9, "neighbourhood": 3, "starts": 6, "horizon": 5},
-    "td3_bc": {"hidden": (8,), "batch": 16, "learning_rate": 1e-3},
     "morel": {
         "hidden": (8,),
         "value_hidden": (8,),
@@ -92,7 +89,7 @@ def graded(names: Iterable[str], seconds: float) -> list[Any]:
 
 def config(algorithm: str, **changes: Any) -> Any:
     """Small settings of an algorithm."""
-    return ALGORITHMS[algorithm].config(**(SMALL[algorithm] | changes))
+    return ALGORITHMS[algorithm].config(**(SMALL.get(algorithm, PLAIN) | changes))
 
 
 def learner(

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
-from flows.configuration.composition import special_settings
+from flows.configuration.composition import special_settings, with_limits
 from flows.configuration.files import CONF
 from flows.configuration.settings import load_settings
 
@@ -118,3 +118,50 @@ def test_a_copied_file_does_not_win_over_the_original(conf: Path, file: str) -> 
     shutil.copy(conf / f"{file}.yaml", conf / f"{file} copy.yaml")
     with pytest.raises(SettingsError, match=f"{file} copy.yaml must hold one key, its own name"):
         load_settings([])
+
+
+DEFAULTS = {
+    "algorithm": {
+        "bc": {"updates": 500, "batch": 9},
+        "moose": {"updates": 30, "penalty": 0.5},
+        "new": {"updates": 500, "batch": 9},
+    },
+    "model": {"net": {"epochs": 50}},
+}
+
+
+def limited(profile: dict) -> dict:
+    found = with_limits(OmegaConf.create(profile), DEFAULTS)
+    return OmegaConf.to_container(found)  # type: ignore[return-value]
+
+
+def test_algorithms_that_a_profile_does_not_name_have_its_limits_or_less() -> None:
+    others = {"algorithm": {"updates": 40, "batch": 4}, "model": {"epochs": 2}}
+    found = limited({"seeds": [0], "algorithm": {"bc": {"updates": 70}}, "others": others})
+    assert found == {
+        "seeds": [0],
+        "algorithm": {
+            "bc": {"updates": 70},
+            "moose": {"updates": 30},
+            "new": {"updates": 40, "batch": 4},
+        },
+        "model": {"net": {"epochs": 2}},
+    }
+
+
+def test_a_profile_without_limits_leaves_the_defaults_alone() -> None:
+    found = limited({"seeds": [0]})
+    assert found.pop("seeds") == [0]
+    assert not any(fields for group in found.values() for fields in group.values())
+
+
+@pytest.mark.parametrize(
+    ("others", "says"),
+    [
+        ({"modle": {"epochs": 2}}, "others.*modle"),
+        ({"model": {"epochs": "few"}}, "others.model.epochs='few'"),
+    ],
+)
+def test_limits_are_numbers_of_algorithms_and_models(others: dict, says: str) -> None:
+    with pytest.raises(SettingsError, match=says):
+        limited({"others": others})

@@ -2,14 +2,17 @@
 
 import sys
 from dataclasses import asdict
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
 from typing import Any
 
 import pytest
 import yaml
 
-from flows import full_benchmark, generate_data, train_experts, tune_models
+import flows
 from flows.command_line import main
-from flows.configuration.settings import load_settings
+from flows.configuration.settings import ALIASES, load_settings
 from flows.configuration.shown import settings_yaml
 
 
@@ -67,21 +70,24 @@ def test_settings_that_a_dataset_changes_are_shown_below_it() -> None:
     assert hopper["model_for"] == {"wsbc": {"behaviour_policy": {"hidden": [40]}}}
 
 
-@pytest.mark.parametrize(
-    ("door", "aliases"),
-    [
-        (full_benchmark, None),
-        (generate_data, None),
-        (tune_models, tune_models.ALIASES),
-        (train_experts, train_experts.ALIASES),
-    ],
-)
+def doors_of_main() -> list[ModuleType]:
+    """The modules directly in flows that end with `command_line.main`."""
+    modules = [import_module(f"flows.{found.name}") for found in iter_modules(flows.__path__)]
+    return [m for m in modules if hasattr(m, "HELP") and getattr(m, "main", None) is main]
+
+
+def test_there_are_doors() -> None:
+    names = {door.__name__.removeprefix("flows.") for door in doors_of_main()}
+    assert names >= {"full_benchmark", "generate_data", "tune_models", "train_experts"}
+
+
+@pytest.mark.parametrize("door", doors_of_main(), ids=lambda door: door.__name__)
 def test_every_door_shows_its_settings_and_stops(
-    door: Any, aliases: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    door: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["door", "profile=smoke", "show_settings=true"])
     with pytest.raises(SystemExit) as ended:
-        main("door", door.HELP, pytest.fail, *([aliases] if aliases else []))
+        main("door", door.HELP, pytest.fail, getattr(door, "ALIASES", ALIASES))
     assert ended.value.code == 0
     assert yaml.safe_load(capsys.readouterr().out)["profile_name"] == "smoke"
     assert "  show_settings=true " in door.HELP

@@ -325,6 +325,14 @@ def test_wrong_words_end_in_one_sentence(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_tracker_without_trials_ends_in_one_sentence(tmp_path: Path) -> None:
+    settings = load_settings([*WORDS, f"store={tmp_path}"])
+    runner = settings.runner.model_copy(update={"tracker": "csv"})
+    other = settings.model_copy(update={"runner": runner})
+    with pytest.raises(SettingsError, match=r"runner\.tracker=csv records no searches; use mlflow"):
+        tune_models.make_trials(other)
+
+
 @pytest.mark.slow(2)
 def test_pruned_failed_and_reused_trials_are_runs_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
