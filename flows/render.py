@@ -14,7 +14,7 @@ from pydantic import Field
 
 from components.core.files import replacing
 from components.data.dataset import DatasetCard
-from components.environments.rendering import DRAWABLE, FRAMES_PER_SECOND, film
+from components.environments.rendering import DRAWABLE, film, pictures_per_second
 from components.policies.policy import Policy
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StrictModel, build_config
@@ -143,12 +143,12 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
 
 
 @contextmanager
-def _video(path: Path) -> Iterator[Callable[[np.ndarray], object]]:
+def _video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], object]]:
     """A file that takes pictures; it appears under its name when it is whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    options: dict[str, Any] = {"fps": FRAMES_PER_SECOND}
+    options: dict[str, Any] = {"fps": per_second}
     if path.suffix.lower() == ".gif":
-        options = {"duration": 1000 / FRAMES_PER_SECOND, "loop": 0}  # milliseconds; for ever
+        options = {"duration": 1000 / per_second, "loop": 0}  # milliseconds; for ever
     with replacing(path) as temporary, imageio.get_writer(temporary, **options) as writer:
         yield writer.append_data
 
@@ -159,12 +159,13 @@ def _run(settings: RenderSettings) -> int:
     card = DatasetCard.load(store.path(record["inputs"]["dataset"]) / "dataset" / "card.json")
     if card.environment not in DRAWABLE:
         raise SettingsError(
-            f"run={settings.run} is a policy of {card.environment}, which has no picture; "
-            "only policies of the robots can be filmed."
+            f"run={settings.run} is a policy of {card.environment or card.name}, which has no "
+            "picture; only policies of the robots can be filmed."
         )
     policy = Policy.load(store.path(record["key"]) / "policy")
     act = _actor(policy, settings)
-    with _video(settings.out) as draw:
+    per_second = pictures_per_second(card.environment, card.environment_parameters)
+    with _video(settings.out, per_second) as draw:
         take = film(
             card.environment,
             card.environment_parameters,

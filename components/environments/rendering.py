@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from components.environments.frame_history import FrameHistory
 from components.environments.systems import drawable_systems
 
-__all__ = ["DRAWABLE", "FRAMES_PER_SECOND", "Take", "drawing_library", "film"]
+__all__ = ["DRAWABLE", "Take", "drawing_library", "film", "pictures_per_second"]
 
 DRAWABLE: Final = drawable_systems()
 """Gymnasium ids of the systems that can be drawn."""
-FRAMES_PER_SECOND: Final = 25
-"""Pictures per simulated second; a divisor of all robots' steps per second (25 and 125)."""
+_PICTURES: Final = 25  # wanted per simulated second; robots make 20, 25 or 125 steps
 
 _LIBRARIES = ("egl", "osmesa")
 _CHOICE = "MUJOCO_GL"
@@ -78,6 +77,22 @@ def _works(library: str) -> bool:
     return done.returncode == 0
 
 
+def pictures_per_second(environment: str, parameters: Mapping[str, Any]) -> float:
+    """How many pictures of a system :func:`film` draws per simulated second."""
+    robot = gym.make(environment, disable_env_checker=True, **parameters)
+    steps = _steps_per_second(robot)
+    robot.close()
+    return steps / _steps_per_picture(steps)
+
+
+def _steps_per_second(robot: gym.Env[Any, Any]) -> int:
+    return int(robot.unwrapped.metadata["render_fps"])
+
+
+def _steps_per_picture(per_second: int) -> int:
+    return max(1, per_second // _PICTURES)
+
+
 def film(
     environment: str,
     parameters: Mapping[str, Any],
@@ -119,8 +134,8 @@ def film(
         **parameters,
     )
     try:
-        per_second = int(robot.unwrapped.metadata["render_fps"])
-        every = max(1, per_second // FRAMES_PER_SECOND)
+        per_second = _steps_per_second(robot)
+        every = _steps_per_picture(per_second)
         frame, _ = robot.reset(seed=seed)
         frames, taken, reward = FrameHistory(frame[None], history), 0, 0.0
         draw(_picture(robot))

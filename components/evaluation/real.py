@@ -71,7 +71,8 @@ def evaluate_policies(
         One result per stack.
 
     Raises:
-        ValueError: The discount is outside its range.
+        ValueError: The discount is outside its range, or the policies do not see the system's
+            frames.
     """
     if not 0 < discount <= 1:
         raise ValueError(f"discount must lie in (0, 1], got {discount}.")
@@ -86,6 +87,12 @@ def evaluate_policies(
     systems = [
         make_batch(environment, snapshots * per_policy, threads, **parameters) for _ in policies
     ]
+    shown = tuple(systems[0].frame_features)
+    if actors.card.features != shown:
+        raise ValueError(
+            f"{actors.card.dataset} logs {actors.card.features}, but {environment} shows {shown}; "
+            "log these, or leave the environment on the card of the log empty."
+        )
     histories = [
         FrameHistory(system.reset(lane_generator(key)), actors.card.history)
         for system, key in zip(systems, keys, strict=True)

@@ -121,16 +121,18 @@ def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
     _check_deviations(whole)
     domains = layers[0].domain
     found = {}
-    for name, dataset in layers[0].dataset.items():
-        domain = dataset.get("domain") if isinstance(dataset, DictConfig) else None
-        if domain is None:
+    for name, dataset in _files(whole).items():
+        if not {"domain", *DEVIATIONS} & set(dataset):
             continue
-        if domain not in domains:
-            raise SettingsError(
-                f"dataset.{name}.domain={domain!r} has no file in conf/domain; valid ones are "
-                f"{', '.join(domains)}."
-            )
-        places = ((), ("domain", domain), ("dataset", name))
+        places: tuple[tuple[str, ...], ...] = ((), ("dataset", name))
+        domain = dataset.get("domain")
+        if domain is not None:
+            if domain not in domains:
+                raise SettingsError(
+                    f"dataset.{name}.domain={domain!r} has no file in conf/domain; valid ones are "
+                    f"{', '.join(domains)}."
+                )
+            places = ((), ("domain", domain), ("dataset", name))
         own = {group: _merged_group(group, layers, places) for group in ("algorithm", "model")}
         wanted = _merged_group("model_for", layers, places)
         own["model_for"] = {
@@ -149,11 +151,15 @@ def _check_deviations(whole: Mapping[str, Any]) -> None:
         )
     for name, fields in whole["domain"].items():
         build_config(Deviations, f"domain.{name}", fields)
+    for name, fields in _files(whole).items():
+        own = {key: value for key, value in fields.items() if key in DEVIATIONS}
+        build_config(Deviations, f"dataset.{name}", own)
+
+
+def _files(whole: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The files of conf/dataset by name; one that is no group of keys is refused by the schema."""
     files = whole["dataset"] if isinstance(whole["dataset"], Mapping) else {}
-    for name, fields in files.items():
-        if isinstance(fields, Mapping):
-            own = {key: value for key, value in fields.items() if key in DEVIATIONS}
-            build_config(Deviations, f"dataset.{name}", own)
+    return {str(name): fields for name, fields in files.items() if isinstance(fields, Mapping)}
 
 
 def _merged_group(

@@ -158,12 +158,14 @@ def random_policy(dataset: OfflineDataset, names: Sequence[object], hidden: int 
     )
 
 
-def constant_policy(actions: Sequence[float], features: int = 6, history: int = 3) -> Policy:
+def constant_policy(
+    actions: Sequence[float], features: tuple[str, ...] = FEATURES, history: int = 3
+) -> Policy:
     """A policy that always acts in the same way."""
-    weight = torch.zeros(1, features * history, len(actions))
+    weight = torch.zeros(1, len(features) * history, len(actions))
     bias = torch.atanh(torch.tensor(actions)).view(1, 1, -1)
-    scaling = Normaliser(torch.zeros(1, features), torch.ones(1, features))
-    card = policy_card(history=history, actions=len(actions))
+    scaling = Normaliser(torch.zeros(1, len(features)), torch.ones(1, len(features)))
+    card = policy_card(features=features, history=history, actions=len(actions))
     return Policy.of_networks(card, {"actor": [(weight, bias)]}, scaling)
 
 

@@ -116,7 +116,8 @@ class RobotSpec:
         if expert.policy.card.features != tuple(robots.frame_features):
             raise ValueError(
                 f"the expert of {expert.card.robot} does not know the frames of "
-                f"{self.environment}; train one with `python -m flows.train_experts`."
+                f"{self.environment}; train one with "
+                f"`python -m flows.train_experts robots=[{self.robot}] install=true`."
             )
         episodes = collect_episodes(
             expert.act,

@@ -1,7 +1,8 @@
-"""Logs that are stored in a folder already, such as those of a real plant without a simulator.
+"""Logs that are stored in a folder already, such as those of a real plant.
 
 The folder is one that `OfflineDataset.write` has filled, with a card as :func:`.assembly.assemble`
-makes it. The properties of the dataset are read from that card.
+makes it. The properties of the dataset are read from that card. Where it names a registered system,
+policies learned from the log are evaluated there; a real plant has no simulator.
 """
 
 import hashlib
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from components.data.dataset import DatasetCard, OfflineDataset
+from components.environments.systems import SYSTEMS
 
 __all__ = ["StoredLog"]
 
@@ -69,14 +71,14 @@ class StoredLog:
         return {"log": self.card.digest, "card": card}
 
     @property
-    def environment(self) -> None:
-        """There is no system."""
-        return None
+    def environment(self) -> str | None:
+        """Gymnasium id of the system on its card; None where nothing of that name is registered."""
+        return self.card.environment if self.card.environment in SYSTEMS else None
 
     @property
     def environment_parameters(self) -> Mapping[str, Any]:
-        """None."""
-        return {}
+        """The system's parameters, as on its card."""
+        return self.card.environment_parameters
 
     @property
     def discount(self) -> float:

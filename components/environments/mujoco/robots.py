@@ -1,4 +1,4 @@
-"""The MuJoCo robots Swimmer, Hopper and Walker2D, N independent copies at once.
+"""MuJoCo robots such as Swimmer, Hopper and Walker2D, N independent copies at once.
 
 Observations, rewards and falls are those of Gymnasium's v5 classes, or of the third version that
 the thesis used (`specifications.py`), computed for all copies together; the reward is
@@ -101,17 +101,23 @@ class Robots:
         self, ids: NDArray[np.intp], rng: np.random.Generator | Sequence[np.random.Generator]
     ) -> Array:
         """`[M, nq + nv]`; every generator draws a copy's positions, then its velocities."""
-        width, limit = self._model.nq + self._model.nv, self._robot.reset_noise
         if isinstance(rng, np.random.Generator):
-            return rng.uniform(-limit, limit, (ids.size, width))
-        if len(rng) != self.copies:
+            generators = [rng] * ids.size  # it serves copy after copy
+        elif len(rng) == self.copies:
+            generators = [rng[copy] for copy in ids]
+        else:
             raise ValueError(
                 f"{len(rng)} generators were given for {self.copies} copies; give one, or one "
                 "for each copy."
             )
-        noise = np.empty((ids.size, width))
-        for row, copy in zip(noise, ids, strict=True):
-            row[:] = rng[copy].uniform(-limit, limit, width)
+        limit, nq, nv = self._robot.reset_noise, self._model.nq, self._model.nv
+        noise = np.empty((ids.size, nq + nv))
+        for row, generator in zip(noise, generators, strict=True):
+            row[:nq] = generator.uniform(-limit, limit, nq)
+            if self._robot.normal_velocities:
+                row[nq:] = limit * generator.standard_normal(nv)
+            else:
+                row[nq:] = generator.uniform(-limit, limit, nv)
         return noise
 
     def step(self, actions: ArrayLike) -> tuple[Array, Array]:

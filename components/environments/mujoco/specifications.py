@@ -85,6 +85,8 @@ class Robot:
         healthy_reward: added to the reward of every step while it stands.
         health: the states in which it stands; None for a robot that cannot fall.
         reset_noise: half width of the uniform noise on a start's positions and velocities.
+        normal_velocities: whether the noise on velocities is normal instead, with `reset_noise` as
+            its deviation.
         substeps: steps of the simulator in a step of control.
     """
 
@@ -99,6 +101,7 @@ class Robot:
     healthy_reward: float = 1.0
     health: Health | None
     reset_noise: float = 5e-3
+    normal_velocities: bool = False
     substeps: int = 4
 
     @property

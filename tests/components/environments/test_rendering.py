@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from components.environments import INDUSTRIAL_BENCHMARK_ID, rendering
-from components.environments.mujoco.specifications import HOPPER, SWIMMER
-from components.environments.rendering import FRAMES_PER_SECOND, drawing_library, film
+from components.environments.mujoco.specifications import HOPPER, SWIMMER, Robot
+from components.environments.rendering import drawing_library, film, pictures_per_second
 from components.environments.systems import make_batch
 
 
@@ -55,8 +55,18 @@ def test_a_swimmer_is_filmed_for_as_long_as_asked(
     monkeypatch.setenv("MUJOCO_GL", library)
     pictures: list[np.ndarray] = []
     take = film(SWIMMER.id, {}, lambda frames: np.zeros(2), pictures.append, steps=3, size=32)
-    assert (take.steps, take.fell, take.seconds) == (3, False, 3 / FRAMES_PER_SECOND)
+    assert (take.steps, take.fell, take.seconds) == (3, False, 3 / 25)
     assert len(pictures) == 4
+
+
+@pytest.mark.parametrize("robot", [SWIMMER, HOPPER])
+def test_films_show_25_pictures_of_a_second(robot: Robot) -> None:
+    assert pictures_per_second(robot.id, {"physics": "v3"}) == 25
+
+
+def test_a_robot_of_fewer_steps_is_shown_at_every_step() -> None:
+    every = [rendering._steps_per_picture(steps) for steps in (20, 25, 49, 50, 125)]
+    assert every == [1, 1, 1, 2, 5]
 
 
 def test_what_cannot_be_drawn_is_refused() -> None:

@@ -16,9 +16,12 @@ from components.environments.systems import INDUSTRIAL_BENCHMARK, SYSTEMS, make_
 
 
 def test_every_robot_is_a_system() -> None:
-    assert set(SYSTEMS) == {INDUSTRIAL_BENCHMARK.id, *(robot.id for robot in ROBOTS.values())}
+    robots = {robot.id for robot in ROBOTS.values()}
+    assert set(SYSTEMS) >= {INDUSTRIAL_BENCHMARK.id, *robots}
+    assert all(name == system.id for name, system in SYSTEMS.items())
     assert all(name == robot.name for name, robot in ROBOTS.items())
-    assert {robot.id for robot in ROBOTS.values()} == set(DRAWABLE)
+    assert robots <= set(DRAWABLE) == {system.id for system in SYSTEMS.values() if system.drawable}
+    assert INDUSTRIAL_BENCHMARK.id not in DRAWABLE
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -1,5 +1,6 @@
 """Evaluation in the real system, against direct simulation and by hand."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -168,6 +169,13 @@ def test_progress_counts_steps() -> None:
 def test_discounts_out_of_range_are_refused(discount: float) -> None:
     with pytest.raises(ValueError, match=r"discount must lie in \(0, 1\]"):
         evaluate([constant_policy([0.0, 0.0, 0.0])], [0], discount=discount)
+
+
+def test_policies_that_see_other_frames_are_refused() -> None:
+    policy = constant_policy([0.0, 0.0, 0.0])
+    other = dataclasses.replace(policy.card, features=("setpoint", "velocity", "heat"))
+    with pytest.raises(ValueError, match=r"^toy logs .*'heat'\), but proximity/Industrial.* shows"):
+        evaluate([dataclasses.replace(policy, card=other)], [1])
 
 
 def candidate_policy(key: int) -> Policy:

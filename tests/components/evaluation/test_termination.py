@@ -14,7 +14,7 @@ from components.environments.mujoco.specifications import HOPPER
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import evaluate_policies
 from components.policies.policy import Policy
-from tests.components.synthetic import CPU, constant_policy, policy_card
+from tests.components.synthetic import CPU, FEATURES, constant_policy, policy_card
 
 NEVER = 99
 STILL = constant_policy([0.0], history=1)
@@ -31,7 +31,7 @@ class Faller:
     after its end shows and earns NaN.
     """
 
-    frame_features = action_features = ("counter",)
+    frame_features, action_features = FEATURES, ("counter",)
 
     def __init__(self, lives: Sequence[int]) -> None:
         self._lives = np.array(lives)
@@ -84,7 +84,7 @@ def test_evaluation_is_over_when_all_copies_have_ended(monkeypatch: pytest.Monke
 
 
 def test_a_falling_hopper_earns_what_gymnasium_pays_until_then() -> None:
-    policy = constant_policy([0.6, -0.3, 0.2], features=11, history=1)
+    policy = constant_policy([0.6, -0.3, 0.2], features=HOPPER.frame_features, history=1)
     action = policy.act(torch.zeros(1, 1, 1, 11))[0, 0].numpy()
     protocol = EvaluationProtocol(trajectories=3, horizon=60)
     parameters: dict[str, Any] = {"physics": "v3"}

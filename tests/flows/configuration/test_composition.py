@@ -1,5 +1,6 @@
 """Layers of settings: which wins, and what a domain or a dataset may change."""
 
+import dataclasses
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +43,14 @@ def test_settings_of_a_dataset_win_over_its_domain_s_and_these_over_general_ones
     assert found["hopper-1.0"]["algorithm"]["moose"] == {"updates": 900, "optimizer": "adam"}
     assert found["walker"]["algorithm"]["bc"] == {"updates": 500}
     assert found["walker"]["model"]["clone"] == {"hidden": [128], "epochs": 50}
+
+
+def test_a_dataset_without_a_domain_may_change_settings() -> None:
+    own = {"dataset": {"mediocre-0.2": {"algorithm": {"bc": {"updates": 7}}}}}
+    for found in (special(own), special_settings([OmegaConf.merge(GROUPS, own)])):
+        assert found["mediocre-0.2"]["algorithm"]["bc"] == {"updates": 7}
+        assert found["mediocre-0.2"]["algorithm"]["moose"] == GROUPS["algorithm"]["moose"]
+        assert found["mediocre-0.2"]["model"] == GROUPS["model"]
 
 
 def test_an_algorithm_may_have_its_own_model_settings() -> None:
@@ -111,6 +120,17 @@ def test_profiles_may_have_the_old_name_of_the_proximity_step(conf: Path) -> Non
     assert load_settings(["profile=mine"]).evaluation.proximity_step == 0.2
     words = ["profile=mine", "evaluation.proximity_step=0.5"]
     assert load_settings(words).evaluation.proximity_step == 0.5
+
+
+def test_a_dataset_s_file_may_say_what_it_wants_otherwise(conf: Path) -> None:
+    file = conf / "dataset" / "bad-0.4.yaml"
+    told = file.read_text(encoding="utf-8") + "  algorithm:\n    lion:\n      beta: 0.5\n"
+    file.write_text(told, encoding="utf-8")
+    settings = load_settings([])
+    usual = settings.algorithm["lion"]
+    assert settings.algorithm_on("bad-0.4", "lion") == dataclasses.replace(usual, beta=0.5)
+    assert settings.algorithm_on("bad-0.6", "lion") == usual
+    assert load_settings(["algorithm.lion.beta=0.2"]).algorithm_on("bad-0.4", "lion").beta == 0.2
 
 
 @pytest.mark.parametrize("file", ["dataset/bad-0.4", "domain/mujoco"])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from components.data.dataset import OfflineDataset
+from components.data.sources.industrial import IndustrialSpec
 from components.policies.policy import Policy
 from flows import full_benchmark
 from flows.configuration import composition, files, schema
@@ -97,6 +98,17 @@ def test_the_log_is_stored_like_any_dataset_and_learned_from(project: Path) -> N
             assert Policy.load(policies[0]).card.history == LOG.card.history
 
 
+def test_policies_from_a_log_of_a_registered_system_are_evaluated_there(project: Path) -> None:
+    generated = IndustrialSpec("mine", "mediocre", 0.5, trajectories=4, steps=110).generate(0)
+    replaced(project, generated)
+    plan = benchmark_plan(chosen("algorithms=[bc]", "seeds=[0]"))
+    [evaluation] = [node for node in plan if node.component == "evaluation"]
+    assert evaluation.config["environment"] == generated.card.environment
+    assert evaluation.config["parameters"] == {"setpoint": 70.0}
+    store = finished(plan, project / "store")
+    assert np.isfinite(np.load(store.path(evaluation.key) / "returns.npz")["returns"]).all()
+
+
 def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
     project: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,7 +157,3 @@ def test_wrong_files_of_logs_are_refused(project: Path, line: str, message: str)
     composition.base_layers.cache_clear()
     with pytest.raises(SettingsError, match=message):
         chosen()
-
-
-def test_all_selects_the_generated_datasets_only() -> None:
-    assert len(load_settings([]).datasets) == 19

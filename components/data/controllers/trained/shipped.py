@@ -29,7 +29,8 @@ SHIPPED: Final = Path(__file__).parent
 _CARD: Final = "expert.json"
 _WEIGHTS: Final = "weights.safetensors"
 _REMEDY: Final = (
-    "make it with `python -m flows.train_experts install=true`, or restore the shipped files"
+    "make it with `python -m flows.train_experts robots=[NAME] install=true`, or restore the "
+    "shipped files"
 )
 
 

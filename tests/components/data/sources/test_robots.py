@@ -40,8 +40,8 @@ def lengths(dataset: OfflineDataset) -> np.ndarray:
 
 
 def test_the_three_of_the_thesis() -> None:
-    assert list(ROBOTS) == ["swimmer", "hopper", "walker2d"]
-    for name in ROBOTS:
+    for name in ("swimmer", "hopper", "walker2d"):
+        assert name in ROBOTS
         spec = RobotSpec(name, name)
         assert spec.physics == "v3"
         assert (spec.epsilon, spec.noise, spec.discount) == (0.3, 0.3, 0.99)

@@ -9,6 +9,7 @@ import pytest
 
 from components.data.dataset import OfflineDataset
 from components.data.sources.stored_log import StoredLog
+from components.environments.systems import INDUSTRIAL_BENCHMARK
 from tests.components.synthetic import make_log, relabelled
 
 LOG = make_log()
@@ -28,6 +29,15 @@ def test_the_log_is_what_lies_there_under_its_own_name(tmp_path: Path) -> None:
     assert source.environment is None
     known = (source.discount, source.history, source.steps)
     assert known == (LOG.card.discount, LOG.card.history, LOG.card.steps)
+
+
+def test_a_registered_system_on_its_card_is_its_system(tmp_path: Path) -> None:
+    card = dataclasses.replace(
+        LOG.card, environment=INDUSTRIAL_BENCHMARK.id, environment_parameters={"setpoint": 60.0}
+    )
+    source = stored(tmp_path / "log", dataclasses.replace(LOG, card=card))
+    assert source.environment == INDUSTRIAL_BENCHMARK.id
+    assert source.environment_parameters == {"setpoint": 60.0}
 
 
 def test_its_content_identifies_it_and_its_place_does_not(tmp_path: Path) -> None:
