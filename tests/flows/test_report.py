@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from components.core.files import write_json
@@ -16,6 +17,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
 from flows.render import find_policy, load_render_settings
 from flows.report import report
+from flows.report.films import film_notes
 
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
@@ -47,13 +49,17 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
             finish(store, node, {"summary.json": summary | {"points": points}})
 
     class Card:
-        name, first_window_return_mean, environment = "mediocre-0.2", -2.0, INDUSTRIAL_BENCHMARK_ID
+        name, environment = "mediocre-0.2", INDUSTRIAL_BENCHMARK_ID
+        first_window_return_mean, all_windows_return_mean = -2.0, -3.0
 
-    drawn = []
+    drawn, behaviour = [], []
+
+    def draw(name: str, summaries: list[dict[str, Any]], mean: float) -> None:
+        drawn.extend(summaries)
+        behaviour.append((name, mean))
+
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
-    monkeypatch.setattr(
-        report, "proximity_figure", lambda name, summaries, mean: drawn.extend(summaries)
-    )
+    monkeypatch.setattr(report, "proximity_figure", draw)
     written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
     [table, _] = written.files
     labels = ["mopo-penalty-0", "mopo-penalty-2.5", "lion"]
@@ -64,6 +70,7 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     assert [row["algorithm"] for row in read] == labels
     assert len({row["mean"] for row in read}) == 3
     assert [summary["algorithm"] for summary in drawn] == ["lion"]
+    assert behaviour == [("mediocre-0.2", -2.0)]  # the first windows' mean, as policies are judged
     assert [s["algorithm"] for s in open_report(tmp_path, "sweep").summaries] == labels
 
 
@@ -94,3 +101,29 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
         settings = load_render_settings(command[3:])
         assert find_policy(store, settings.run)["key"] == node.key
         assert (settings.proximity is not None) == (node.config["algorithm"] == "lion")
+
+
+def test_films_are_those_of_the_first_seed() -> None:
+    words = [word for word in WORDS if not word.startswith("seeds")]
+    plan = benchmark_plan(load_settings([*words, "seeds=[0,1]"]))
+    first = [n for n in plan if n.component == "policy_training" and n.tags["seed"] == "0"]
+    notes = film_notes(plan, {"mediocre-0.2"})
+    assert len(notes) == len(first) == 3
+    for node, note in zip(first, notes, strict=True):
+        assert f" run={node.key} " in note
+    assert film_notes(plan, {"hopper"}) == []
+
+
+def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
+    def summary(algorithm: str, *points: tuple[float | None, float]) -> dict[str, Any]:
+        stored = [{"lambda": x, **POINT, "tenth_percentile": y} for x, y in points]
+        return {"dataset": "bad-0.4", "algorithm": algorithm, "points": stored}
+
+    summaries = [
+        summary("lion", (0.0, -9.0), (0.55, -7.0), (1.0, -8.0)),
+        summary("bc", (None, -6.0)),
+    ]
+    assert report.Report([], pd.DataFrame(), summaries, []).headline == {
+        "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
+        "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
+    }

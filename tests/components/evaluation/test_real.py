@@ -198,3 +198,20 @@ def test_policies_that_draw_candidates_have_their_own_noise() -> None:
         np.testing.assert_array_equal(alone.returns, found.returns)
     [other] = evaluate([one], [7])
     assert not np.isclose(other.returns, together[0].returns).any()
+
+
+def test_candidates_are_drawn_from_a_stream_that_the_system_does_not_use() -> None:
+    policy, key = candidate_policy(1), 5
+    [result] = evaluate([policy], [key])
+    machine = make_batch(INDUSTRIAL_BENCHMARK_ID, 6, **SETPOINT)
+    frames = [machine.reset(lane_generator(key))] * 3
+    drawn, total = lane_generator(lane_key(key, "candidates")), np.zeros(6)
+    for t in range(12):
+        noise = torch.from_numpy(drawn.standard_normal((2, 3, 3, 3), np.float32))
+        seen = torch.from_numpy(np.stack(frames, axis=1)).float().view(2, 3, 3, 6)
+        actions = policy.act(seen, noise=noise).view(6, 3).numpy()
+        new, rewards = machine.step(actions.astype(np.float64))
+        frames = [new, *frames[:2]]
+        total += 0.9**t * rewards
+    # float32 actions, as above
+    np.testing.assert_allclose(result.returns, total.reshape(2, 1, 3), rtol=1e-4)

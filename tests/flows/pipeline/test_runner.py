@@ -13,8 +13,10 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import NullTracker, Tracker
+from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.toys import counted, diamond, node
 
 
@@ -255,3 +257,27 @@ def test_longest_chain_starts_first(store: ArtifactStore, log: Path) -> None:
     order = [Plan([*short, tail])[key].name for key in outcome.finished]
     assert order.index("head") == 0
     assert order.index("tail") < max(order.index("short0"), order.index("short1"))
+
+
+class Looking(SerialExecutor):
+    """Notes what is on record about a group when it is submitted."""
+
+    def __init__(self, store: ArtifactStore) -> None:
+        super().__init__()
+        self.store = store
+        self.seen: list[tuple[float | None, bool]] = []
+
+    def submit(self, call: GroupCall) -> None:
+        found = self.store.fraction(call.group), self.store.stop_file(call.group).exists()
+        self.seen.append(found)
+        super().submit(call)
+
+
+def test_what_a_killed_call_has_reported_is_forgotten(store: ArtifactStore, log: Path) -> None:
+    plan = Plan([node("number", "n", log, number=1)])
+    [group] = form_groups(plan, [one.key for one in plan], store)
+    write_json(store.progress_file(group.name), {"fraction": 0.9, "losses": [[0.9, 1.0]]})
+    store.stop_file(group.name).touch()
+    looking = Looking(store)
+    run_plan(plan, store, NullTracker(), Screen(), executor=looking)
+    assert looking.seen == [(None, False)]

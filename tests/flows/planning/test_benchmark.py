@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import pytest
 
+from components.algorithms import ALGORITHMS
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
+from flows.planning import benchmark
 from flows.planning.benchmark import benchmark_plan, data_plan, model_choice, sweep_name
 
 BASE = (
@@ -100,6 +102,26 @@ def test_what_matters_changes_the_keys_of_all_that_follows(word: str, changed: s
     assert before.keys() == after.keys()
     assert {kind(name) for name in before if before[name] != after[name]} == changed
     assert {kind(name) for name in before if before[name] == after[name]} == EVERY_KIND - changed
+
+
+def test_a_new_version_of_an_algorithm_renews_its_runs_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    raised = replace(ALGORITHMS["lion"], version=ALGORITHMS["lion"].version + 1)
+    before = keys(plan())
+    monkeypatch.setattr(benchmark, "ALGORITHMS", {**ALGORITHMS, "lion": raised})
+    after = keys(benchmark_plan(load_settings(BASE)))
+    assert {kind(name) for name in before if before[name] != after[name]} == AFTER_LION
+    assert {kind(name) for name in before if before[name] == after[name]} == EVERY_KIND - AFTER_LION
+
+
+def test_every_run_is_judged_on_random_numbers_of_its_own() -> None:
+    judged = plan().by_component()["evaluation"]
+    streams = [tuple(n.config["stream"]) for n in judged]
+    assert streams == [
+        (n.tags["dataset"], n.tags["algorithm"], int(n.tags["seed"])) for n in judged
+    ]
+    assert len(set(streams)) == len(judged) == 8
 
 
 def test_more_seeds_keep_the_old_runs_and_renew_the_pool_only() -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,24 @@ def test_model_fitting(plan: Plan, root: Path) -> None:
     assert RecurrentEnsemble.load(folder / "model").members == 2
     with np.load(folder / "curves.npz", allow_pickle=False) as curves:
         assert curves["model/validation_mse/fatigue0/step"].tolist() == [10, 20]
+
+
+def test_a_model_of_another_seed_is_another_fit(plan: Plan, root: Path) -> None:
+    [first] = [node for node in plan if node.name == "behaviour_policy/bad-0.4"]
+    other = replace(first, config={**first.config, "seed": 1})
+    run([first], root, "fitted-again")
+    run([other], root, "fitted-otherwise")
+    weights = [
+        Policy.load(root / where / node.key / "model").layers[0][0]
+        for where, node in (
+            ("nodes", first),
+            ("fitted-again", first),
+            ("fitted-otherwise", other),
+        )
+    ]
+    np.testing.assert_array_equal(weights[0], weights[1])
+    # initial weights have a deviation of 0.04: those of other streams are nowhere near
+    assert np.abs(weights[0] - weights[2]).mean() > 0.01
 
 
 def test_policy_training(plan: Plan, root: Path) -> None:

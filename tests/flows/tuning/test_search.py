@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -181,6 +182,13 @@ def test_a_new_start_is_tried_in_a_study_that_has_all_its_trials(home: Path, log
     assert study(home, log, x=0.5).start_trial().value == pytest.approx(0.04)
     # what is not searched and changes the loss makes another study
     assert study(home, log, steps=3).name != other.name
+
+
+def test_losses_on_other_data_or_of_newer_code_belong_to_another_study(log: Path) -> None:
+    one = subject(log)
+    other_data = replace(one, data=replace(one.data, version=2))
+    newer_code = replace(one, node=lambda config: replace(one.node(config), version=2))
+    assert len({one.name, other_data.name, newer_code.name}) == 3
 
 
 def test_two_drivers_never_search_one_study(home: Path, log: Path) -> None:

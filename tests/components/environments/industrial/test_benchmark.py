@@ -241,6 +241,29 @@ def test_reset_of_some_copies_leaves_the_others_alone() -> None:
         assert not np.array_equal(one[mask], two[mask])
 
 
+def test_reset_copies_go_on_as_a_machine_of_their_own_would() -> None:
+    rng = np.random.default_rng(0)
+    machines = IndustrialBenchmark(4)
+    machines.reset(np.random.default_rng(7))
+    for _ in range(13):  # no multiple of ten: the cost ring stands elsewhere than a fresh one's
+        machines.step(rng.uniform(-1.0, 1.0, (4, 3)))
+    mask = np.array([False, True, False, True])
+    # past costs that differ from one another, so that their order matters
+    start = {"operational_costs": np.exp(rng.uniform(0.0, 5.0, (2, 10))), "gain": [20.0, 80.0]}
+    fresh = IndustrialBenchmark(2)
+    expected = fresh.reset(np.random.default_rng(1), start=start)
+    got = machines.reset_copies(mask, np.random.default_rng(1), start=start)
+    np.testing.assert_array_equal(got, expected)
+    for _ in range(12):
+        actions = rng.uniform(-1.0, 1.0, (4, 3))
+        noise = random_noise(rng, 4)
+        own = Noise(**{name: array[mask] for name, array in vars(noise).items()})
+        # the cost ring stands elsewhere, so its weighted sum is rounded in another order
+        np.testing.assert_allclose(
+            machines.step(actions, noise)[0][mask], fresh.step(actions[mask], own)[0], rtol=1e-13
+        )
+
+
 def test_drawn_noise_has_the_distributions_of_the_method() -> None:
     copies, steps = 4000, 100
     noise = DrawnNoise(np.random.default_rng(0), copies)
@@ -262,6 +285,22 @@ def test_drawn_noise_has_the_distributions_of_the_method() -> None:
     assert chances[0] == pytest.approx(0.3, abs=5.0 * 0.46 / math.sqrt(draws))
     assert chances[1] == pytest.approx(0.5, abs=5.0 * 0.5 / math.sqrt(draws))
     assert np.std(normal) == pytest.approx(1.0, abs=5.0 / math.sqrt(2 * draws))
+
+
+def test_the_draws_of_a_step_are_independent() -> None:
+    copies, steps = 4000, 50
+    noise = DrawnNoise(np.random.default_rng(0), copies)
+    drawn = []
+    for _ in range(steps):
+        base, uniform, _ = noise.fatigue(np.full((2, copies), 0.999))
+        saturation = noise.saturation(np.ones(copies, dtype=np.bool_))
+        drawn.append(np.stack([*base, *uniform, saturation, noise.consumption()]))
+    values = np.concatenate(drawn, axis=1)  # [6, draws]
+    far = 5.0 / math.sqrt(copies * steps)  # five standard errors of a correlation
+    np.testing.assert_allclose(np.corrcoef(values), np.eye(6), atol=far)
+    # of a deviation, and of a mean
+    np.testing.assert_allclose(values[4:].std(axis=1), 1.0, atol=far)
+    np.testing.assert_allclose(values[4:].mean(axis=1), 0.0, atol=far)
 
 
 @pytest.mark.parametrize(
