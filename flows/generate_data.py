@@ -41,7 +41,7 @@ def _export(dataset: OfflineDataset, root: Path) -> str:
 
 def _run(settings: Settings) -> int:
     plan = data_plan(settings)
-    store = ArtifactStore(settings.store)
+    store = ArtifactStore(settings.store, create=not settings.dry_run)
 
     def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
         metrics: dict[str, list[tuple[int, float]]] = {}
