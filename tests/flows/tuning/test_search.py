@@ -185,7 +185,7 @@ def test_a_new_start_is_tried_in_a_study_that_has_all_its_trials(home: Path, log
 
 
 def test_losses_on_other_data_or_of_newer_code_belong_to_another_study(log: Path) -> None:
-    one = subject(log)
+    one = specification(log)
     other_data = replace(one, data=replace(one.data, version=2))
     newer_code = replace(one, node=lambda config: replace(one.node(config), version=2))
     assert len({one.name, other_data.name, newer_code.name}) == 3
