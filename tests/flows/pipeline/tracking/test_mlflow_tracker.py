@@ -123,6 +123,15 @@ def test_sweep_and_nodes_are_recorded(home: Path) -> None:
     assert last.info.end_time == int(1000 * record["finished"])
 
 
+def test_a_final_number_stands_at_the_end_of_its_curve(tmp_path: Path) -> None:
+    write_json(tmp_path / "node.json", {"started": 1.0, "finished": 2.0})
+    write_json(tmp_path / "metrics.json", {"loss": 0.5, "size": 7.0})
+    curve = {"loss/step": np.array([10, 20]), "loss/value": np.array([3.0, 1.0])}
+    np.savez(tmp_path / "curves.npz", **curve)
+    points = [(name, step, value) for name, value, _, step in read_content(tmp_path).metrics]
+    assert points == [("loss", 10, 3.0), ("loss", 20, 1.0), ("loss", 20, 0.5), ("size", 0, 7.0)]
+
+
 def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
     _, tracker = run(home, small(home))
     for recorded in runs(tracker, "node"):
