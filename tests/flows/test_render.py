@@ -41,7 +41,10 @@ def add_dataset(store: ArtifactStore, key: str, environment: str, parameters: An
 
 def add_policy(store: ArtifactStore, key: str, name: str, dataset: str, **card: Any) -> None:
     """Two snapshots: the first does nothing, the last one acts."""
-    snapshots = [constant_policy([0.0] * 3, 11, 1), constant_policy([0.5, -0.5, 0.25], 11, 1)]
+    snapshots = [
+        constant_policy(actions, HOPPER.frame_features, history=1)
+        for actions in ([0.0, 0.0, 0.0], [0.5, -0.5, 0.25])
+    ]
     told = {"features": HOPPER.frame_features, "steps": (1, 2), **card}
     policy = Policy.concatenate(dataclasses.replace(snapshots[0].card, **told), snapshots)
     folder = finish(store, key, name, "policy_training", dataset=dataset) / "policy"
