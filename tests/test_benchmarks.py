@@ -289,7 +289,7 @@ def test_our_side_is_measured_in_a_process_of_its_own(log: OfflineDataset, tmp_p
     answer = model_free.run(command, threads=1)
     assert answer["seconds"] > 0
     assert answer["torch"] == torch.__version__
-    with pytest.raises(RuntimeError, match=r"exit code 1: .*there is no dataset in"):
+    with pytest.raises(RuntimeError, match=r"exit code 1: .*There is no dataset in"):
         model_free.run(model_free.own_command(tmp_path, "ddpg", 1, 1, 1), threads=1)
 
 
