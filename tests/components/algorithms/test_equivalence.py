@@ -8,7 +8,7 @@ import torch
 
 from components.algorithms import ALGORITHMS
 from components.data.dataset import OfflineDataset
-from tests.components.algorithms.stacks import HEAVY, learner, run
+from tests.components.algorithms.stacks import learner, run
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import make_log
 
@@ -20,13 +20,10 @@ UPDATES = 200
 every_algorithm = pytest.mark.parametrize("name", ALGORITHMS)
 # Those with a model environment meet another one on a robot: its own past, its own end.
 HYBRIDS = ("lion", "wsbc", "mopo")
-SLOW = pytest.mark.slow(3)
 in_their_worlds = pytest.mark.parametrize(
     ("name", "logs"),
     [
-        pytest.param(
-            name, logs, id=f"{name}-{logs[0].card.name}", marks=SLOW if name in HEAVY else ()
-        )
+        pytest.param(name, logs, id=f"{name}-{logs[0].card.name}")
         for logs, names in (((LOG, OTHER), ALGORITHMS), ((ROBOT, OTHER_ROBOT), HYBRIDS))
         for name in names
     ],
@@ -49,6 +46,7 @@ def networks(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {name: tensor for name, tensor in state.items() if "optimizer" not in name}
 
 
+@pytest.mark.slow(4)
 @in_their_worlds
 def test_lanes_of_a_stack_equal_each_alone(
     name: str, logs: tuple[OfflineDataset, OfflineDataset]
