@@ -135,6 +135,7 @@ def test_a_film_that_fails_leaves_no_file(
     assert not list(out.parent.iterdir())
 
 
+@pytest.mark.slow(3)
 def test_a_policy_is_found_by_its_run_in_mlflow(
     store: ArtifactStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,6 +20,8 @@ from flows.planning.benchmark import benchmark_plan, data_plan
 from tests.components.synthetic import make_log
 from tests.flows.grid import finished
 
+pytestmark = pytest.mark.slow(1)
+
 LOG = make_log()
 WORDS = ("profile=smoke", "datasets=[my-log]", "seeds=[0,1]", "training.snapshots=2")
 

@@ -30,6 +30,8 @@ from flows.pipeline.tracking.mlflow_ui import runs_address, server_command
 from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import node, wait_for
 
+pytestmark = pytest.mark.slow(1)
+
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
