@@ -44,12 +44,12 @@ DEVIATIONS = tuple(Deviations.model_fields)
 
 
 @cache
-def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
+def base_layers(profile: str) -> tuple[DictConfig, DictConfig, DictConfig]:
     """The layers below the command line. They are cached: the caller must not change them.
 
     Returns:
-        Defaults of components with the datasets and domains of conf/; and what wins over them:
-        conf/config.yaml with the profile, its `others` spelled out.
+        Defaults of components with the datasets and domains of conf/; what wins over them,
+        conf/config.yaml with the profile, its `others` spelled out; and both merged.
 
     Raises:
         SettingsError: There is no such profile, or a file of conf/ is wrong.
@@ -66,7 +66,8 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig]:
     )
     defaults = component_defaults()
     limited = with_limits(chosen, defaults)
-    return OmegaConf.create(defaults | groups), rename_old_keys(limited)
+    lower, upper = OmegaConf.create(defaults | groups), rename_old_keys(limited)
+    return lower, upper, merged([lower, upper])
 
 
 def with_limits(chosen: DictConfig, defaults: Mapping[str, Any]) -> DictConfig:

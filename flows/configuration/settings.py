@@ -25,11 +25,11 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
         SettingsError: Unknown key, name or value; one sentence.
     """
     profile, words = split_overrides(overrides, aliases)
-    layers = base_layers(profile)
-    check_keys(words, merged(layers))
+    *layers, base = base_layers(profile)
+    check_keys(words, base)
     try:
         given = parse_overrides(words)
-        values: Any = OmegaConf.to_container(merged([*layers, given]), resolve=True)
+        values: Any = OmegaConf.to_container(merged([base, given]), resolve=True)
         values["special"] = special_settings([*layers, given])
     except OmegaConfBaseException as error:
         raise SettingsError(f"{first_line(error)}; write a plain value.") from error
