@@ -11,6 +11,8 @@ from components.data.dataset import OfflineDataset
 from tests.components.algorithms.stacks import graded, learner, run
 from tests.components.synthetic import make_log, policy_card, relabelled
 
+pytestmark = pytest.mark.slow(1)
+
 # Large rates, since training is short.
 QUICK: dict[str, dict[str, Any]] = {
     "bc": {},
