@@ -160,7 +160,7 @@ def test_consumption_networks_read_no_own_value() -> None:
 
 
 def test_training_and_roll_outs_predict_the_same() -> None:
-    """The loss's closed loop and the virtual machine's are one and the same."""
+    """The loss's closed loop and the model environment's are one and the same."""
     ensemble = fit_recurrent_ensemble(LOG, TINY, lane_key("same"), CPU).model
     alone = RecurrentEnsemble(
         ensemble.weight[::2],  # a machine of one pair has no choice to make

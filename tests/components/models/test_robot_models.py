@@ -152,7 +152,7 @@ def test_storage(tmp_path: Path) -> None:
 
 
 def test_training_and_roll_outs_predict_the_same() -> None:
-    """The loss's closed loop and the virtual machine's are one and the same."""
+    """The loss's closed loop and the model environment's are one and the same."""
     ensemble = fit_recurrent_ensemble(LOG, JOINT, lane_key("same"), CPU).model
     alone = dataclasses.replace(
         ensemble,
