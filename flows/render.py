@@ -1,6 +1,5 @@
 """Watch a stored policy: ``python -m flows.render run=td3_bc/hopper/seed0 out=hopper.mp4``."""
 
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,10 @@ from components.environments.rendering import DRAWABLE, film, pictures_per_secon
 from components.policies.policy import Policy
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.pipeline.errors import TrackingError
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_address import StoreAddress
+from flows.pipeline.tracking.mlflow_errors import refusal
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 
 __all__ = ["RenderSettings", "find_policy", "load_render_settings"]
@@ -107,16 +109,22 @@ def find_policy(store: ArtifactStore, run: str) -> dict[str, Any]:
 
 
 def _key_in_mlflow(root: Path, run: str) -> str | None:
-    """The node behind a run of MLflow, None if there is no such run."""
-    address = os.environ.get("MLFLOW_TRACKING_URI")
-    if not address and not (root / "mlflow.db").exists():
+    """The node behind a run of MLflow, None if there is no such run.
+
+    Raises:
+        TrackingError: MLflow cannot be used.
+    """
+    address = StoreAddress(root)
+    if address.own and not address.database.exists():
         return None
     mlflow = import_mlflow()
-    client = mlflow.MlflowClient(tracking_uri=address or f"sqlite:///{root}/mlflow.db")
     try:
+        client = mlflow.MlflowClient(tracking_uri=address.tracking)
         key: str | None = client.get_run(run).data.tags.get("key")
-    except mlflow.exceptions.MlflowException:
-        return None
+    except Exception as error:
+        if getattr(error, "error_code", "") == "RESOURCE_DOES_NOT_EXIST":
+            return None
+        raise TrackingError(refusal(error, address)) from None
     return key
 
 

@@ -18,10 +18,11 @@ from flows.planning.benchmark import check_model, data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
 from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
+from flows.tuning.journal import journal_path, open_journal
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.results import best_losses, comparison, tuned_model
 from flows.tuning.search import search
-from flows.tuning.study import Study, ended_trials, open_journal
+from flows.tuning.study import Study, ended_trials
 from flows.tuning.trials import NullTrials, Trials
 from flows.tuning.tuned_file import write_tuned
 
@@ -75,10 +76,6 @@ def make_trials(settings: Settings) -> Trials:
             )
 
 
-def _journal(settings: Settings) -> Path:
-    return settings.store.absolute() / "optuna" / "journal.log"
-
-
 def _run(settings: Settings) -> int:
     found = study_specifications(settings)
     for specification in found:
@@ -86,16 +83,17 @@ def _run(settings: Settings) -> int:
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     if settings.dry_run:
-        for study, ended in ended_trials(_journal(settings), found).items():
+        for study, ended in ended_trials(journal_path(settings.store), found).items():
             print(f"{study}: {ended} of {settings.tuning.trials} trials have ended")
         return 0
+    journal = open_journal(journal_path(settings.store))  # a damaged one is named at once
     code = _generate(settings, plan, store)
     if code:
         return code
     console = Display()
     name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
     command = shlex.join(["python", *command_words()])
-    console.note(f"Search {name} in {settings.store}/; journal {_journal(settings)}")
+    console.note(f"Search {name} in {settings.store}/; journal {journal_path(settings.store)}")
     tracker = make_trials(settings)
     tracker.open(
         name,
@@ -111,7 +109,6 @@ def _run(settings: Settings) -> int:
     comparisons: dict[str, str] = {}
     studies: list[Study] = []
     try:
-        journal = open_journal(_journal(settings))
         studies = [Study(specification, journal) for specification in found]
 
         def finished(study: Study) -> None:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-__all__ = ["append_line", "read_lines", "remove_partial_line"]
+__all__ = ["append_line", "mend_last_line", "read_lines"]
 
 
 def append_line(path: Path, value: Mapping[str, Any]) -> None:
@@ -33,14 +33,30 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
             raise
 
 
-def remove_partial_line(path: Path) -> None:
-    """Removes an incomplete last line, left by a kill, a full disk or a power cut."""
+def mend_last_line(path: Path) -> None:
+    """Removes an incomplete last line, left by a kill, a full disk or a power cut.
+
+    One that lacks only its end is ended. Nothing else is touched.
+
+    Raises:
+        ValueError: The file ends in something that no writer of such lines has begun; the message
+            names the file and the line.
+    """
     if not path.exists():
         return
     with path.open("rb+") as file:
         content = file.read()
-        if content and not content.endswith(b"\n"):
-            file.truncate(content.rfind(b"\n") + 1)
+        whole = content.rfind(b"\n") + 1
+        last = content[whole:]
+        if not last:
+            return
+        if _object(last) is not None:
+            file.write(b"\n")
+        elif last.startswith(b"{"):
+            file.truncate(whole)
+        else:
+            number = content.count(b"\n") + 1
+            raise ValueError(f"line {number} of {path} is no JSON object")
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
@@ -52,12 +68,20 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     lines = []
-    for number, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = None
-        if not isinstance(value, dict):
+    # Split as written: other signs that end a line may stand in a text.
+    for number, text in enumerate(path.read_bytes().split(b"\n"), start=1):
+        if not text:
+            continue
+        value = _object(text)
+        if value is None:
             raise ValueError(f"line {number} of {path} is no JSON object")
         lines.append(value)
     return lines
+
+
+def _object(text: bytes) -> dict[str, Any] | None:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None

@@ -51,10 +51,6 @@ class MlflowTrials:
             TrackingError: MLflow cannot be used, or another process is running this search.
             ValueError: the name is none for a search.
         """
-        with self.experiment.writing():
-            # Left half-written by a driver that was killed; these trials are written again.
-            for run in self.experiment.search("attributes.status = 'RUNNING' and tags.study != ''"):
-                self.experiment.client.delete_run(run.info.run_id)
         self._nodes.open(name, tags, params)
 
     def recorded(self, study: str) -> set[int]:

@@ -22,15 +22,14 @@ from typing import Any
 import optuna
 from optuna.distributions import distribution_to_json
 from optuna.exceptions import ExperimentalWarning
-from optuna.storages.journal import JournalFileBackend, JournalStorage
+from optuna.storages.journal import JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from flows.pipeline.json_lines import remove_partial_line
-from flows.pipeline.locks import Lock
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
+from flows.tuning.journal import open_journal
 
-__all__ = ["Study", "StudySpecification", "ended_trials", "has_ended", "open_journal"]
+__all__ = ["Study", "StudySpecification", "ended_trials", "has_ended"]
 
 _RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
 _COMPARED_FROM = 5  # complete trials before any is pruned
@@ -79,25 +78,6 @@ class StudySpecification:
         """
         made = self.node(spaces.settings(self.space, self.start, drawn))
         return replace(made, name=f"{made.name}/trial{number}")
-
-
-def open_journal(path: Path) -> JournalStorage:
-    """Open the file that holds all studies; made if missing.
-
-    Args:
-        path: ``optuna-dashboard PATH`` shows it.
-    """
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = Lock(path.with_name(f".{path.name}.lock"), keep=True)
-    lock.acquire()
-    try:
-        remove_partial_line(path)
-    finally:
-        lock.release()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExperimentalWarning)
-        return JournalStorage(JournalFileBackend(str(path), lock))
 
 
 def ended_trials(path: Path, specifications: Iterable[StudySpecification]) -> dict[str, int]:

@@ -6,6 +6,7 @@ sweep that is run again adds nothing, and a node that failed and then finished h
 """
 
 import json
+import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -14,8 +15,9 @@ from typing import Any
 
 from components.core.files import read_json
 from flows.pipeline.errors import TrackingError
-from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
+from flows.pipeline.json_lines import append_line, mend_last_line, read_lines
 from flows.pipeline.plan import Node, Plan
+from flows.pipeline.tracking.redaction import without_secrets
 from flows.pipeline.tracking.sweep_lock import hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
 
@@ -44,7 +46,7 @@ class SweepFile:
             held.enter_context(hold_sweep(self._root, name))
             with _as_tracking_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                remove_partial_line(path)
+                mend_last_line(path)
                 self._newest = {str(event.get("about")): event for event in read_lines(path)}
             self._lock = held.pop_all()  # an error above gives it back
         self._path = path
@@ -58,6 +60,15 @@ class SweepFile:
     def is_open(self) -> bool:
         """Whether events can be written."""
         return self._path is not None
+
+    def named(self, path: Path) -> str:
+        """A path as it stays true when the store is moved: within the store, where it lies there.
+
+        Args:
+            path: Of a file.
+        """
+        place = path.absolute()
+        return str(place.relative_to(self._root) if place.is_relative_to(self._root) else path)
 
     def newest(self) -> list[dict[str, Any]]:
         """The newest event about every thing."""
@@ -80,7 +91,7 @@ class SweepFile:
         """
         if self._path is None:
             raise TrackingError("No sweep is open in the file tracker: open one before it writes.")
-        fields = {"event": event, "about": about, **content}
+        fields = {"event": event, "about": about, **_valid(dict(content))}
         if _text(fields) == _text(self._newest.get(about, {})):
             return
         line = {"time": round(time.time(), 3), **fields}
@@ -89,8 +100,22 @@ class SweepFile:
         self._newest[about] = line
 
 
+def _valid(value: Any) -> Any:
+    """A value as JSON has it: numbers that are not finite become words.
+
+    Python would write `Infinity`, which other readers refuse or take for 1.8e308.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(name): _valid(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_valid(entry) for entry in value]
+    return value
+
+
 def _text(event: Mapping[str, Any]) -> str:
-    """An event without its time; as text, because a NaN equals no other one."""
+    """An event without its time, as text."""
     fields = {name: value for name, value in event.items() if name != "time"}
     return json.dumps(fields, default=str, sort_keys=True)
 
@@ -151,7 +176,9 @@ class FileTracker:
         Raises:
             TrackingError: the file cannot be written.
         """
-        self.file.write("failure", node.key, describe_node(node) | {"reason": reason})
+        self.file.write(
+            "failure", node.key, describe_node(node) | {"reason": without_secrets(reason)}
+        )
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
@@ -165,7 +192,7 @@ class FileTracker:
             return
         content = {
             "status": status,
-            "files": [str(file) for file in files],
+            "files": [self.file.named(file) for file in files],
             "metrics": {name: list(points) for name, points in (metrics or {}).items()},
         }
         try:

@@ -3,7 +3,9 @@
 MLflow is imported when an experiment is opened, not before: that takes more than a second.
 """
 
-import os
+import hashlib
+import socket
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,19 +13,24 @@ from typing import Any
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
+from flows.pipeline.tracking.mlflow_address import StoreAddress
+from flows.pipeline.tracking.mlflow_errors import refusal
+from flows.pipeline.tracking.mlflow_leftovers import close_leftovers
+from flows.pipeline.tracking.mlflow_moves import follow_move
 from flows.pipeline.tracking.mlflow_run import link_tree
 from flows.pipeline.tracking.mlflow_setup import (
     EXPERIMENT,
     import_mlflow,
     make_database,
     source_tags,
-    without_password,
 )
 from flows.pipeline.tracking.mlflow_writes import log_batches, log_datasets
+from flows.pipeline.tracking.redaction import without_secrets
 
 __all__ = ["MlflowExperiment"]
 
 _MANY = 1000  # runs per page of a search
+_STORE = "store"  # tag of runs in an MLflow that several stores may use
 
 
 class MlflowExperiment:
@@ -31,7 +38,7 @@ class MlflowExperiment:
 
     Attributes:
         root: Folder of the store.
-        uri: Address of MLflow.
+        address: Of the store and of MLflow.
         client: An MlflowClient, for whatever has no method here.
         id: The experiment's id.
         common: Tags of every run: user, commit and program.
@@ -39,6 +46,8 @@ class MlflowExperiment:
 
     def __init__(self, root: Path | str, source: str = "", name: str = EXPERIMENT) -> None:
         """Opens the experiment; makes database and experiment if there are none.
+
+        A store that was moved is followed, and what killed processes left open is closed.
 
         Args:
             root: Folder of the store. By default the database is `mlflow.db` in it.
@@ -48,29 +57,54 @@ class MlflowExperiment:
         Raises:
             TrackingError: MLflow cannot be used.
         """
-        self.root = Path(root).absolute()
-        self.uri = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow.db"
-        own = not os.environ.get("MLFLOW_TRACKING_URI")
+        self.address = StoreAddress(root)
+        self.root = self.address.root
         self.common = {"mlflow.source.name": source, "mlflow.source.type": "LOCAL"} | source_tags()
+        if not self.address.own:
+            self.common |= {_STORE: self._signature()}
         with self.as_tracking_errors():
             (self.root / "locks").mkdir(parents=True, exist_ok=True)
             mlflow = import_mlflow()
             with self._alone():
-                if own:
-                    make_database(self.root)
-                self.client = mlflow.MlflowClient(tracking_uri=self.uri)
+                if self.address.own:
+                    make_database(self.address)
+                    moved = follow_move(self.address)
+                    if moved:
+                        print(moved, file=sys.stderr)
+                self.client = mlflow.MlflowClient(tracking_uri=self.address.tracking)
                 self.id = self._open(name)
+                close_leftovers(self)
 
     def _open(self, name: str) -> str:
         experiment = self.client.get_experiment_by_name(name)
         if experiment is None:
             # A server decides by itself where its artifacts lie.
-            remote = self.uri.partition(":")[0] in ("http", "https", "databricks")
-            place = None if remote else (self.root / "artifacts").as_uri()
+            place = self.address.artifacts
             return str(self.client.create_experiment(name, artifact_location=place))
         if experiment.lifecycle_stage != "active":
             self.client.restore_experiment(experiment.experiment_id)
         return str(experiment.experiment_id)
+
+    def entity(self) -> Any:
+        """The experiment as MLflow knows it.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        with self.as_tracking_errors():
+            return self.client.get_experiment(self.id)
+
+    def owns(self, tags: Mapping[str, str]) -> bool:
+        """Whether a run was made by this store, whose locks say which processes live.
+
+        Args:
+            tags: Of the run. In our own database all runs are the store's.
+        """
+        return self.address.own or tags.get(_STORE) == self._signature()
+
+    def _signature(self) -> str:
+        """Tells this store from others that use the same MLflow."""
+        return hashlib.sha256(f"{socket.gethostname()} {self.root}".encode()).hexdigest()[:16]
 
     def search(self, text: str) -> Iterator[Any]:
         """The runs that match a filter in MLflow's language, the newest first."""
@@ -112,9 +146,8 @@ class MlflowExperiment:
             The run's id.
         """
         start, end = times or (None, None)
-        run = self.client.create_run(
-            self.id, start_time=start, run_name=name, tags=self.common | dict(tags)
-        )
+        tags = {name: without_secrets(text) for name, text in (self.common | dict(tags)).items()}
+        run = self.client.create_run(self.id, start_time=start, run_name=name, tags=tags)
         run_id = str(run.info.run_id)
         log_batches(self.client, run_id, params=params)
         log_batches(self.client, run_id, metrics=metrics)
@@ -122,7 +155,7 @@ class MlflowExperiment:
         if folder is not None:
             self._keep(run_id, run.info.artifact_uri, folder)
         for file, text in (texts or {}).items():
-            self.client.log_text(run_id, text, file)
+            self.client.log_text(run_id, without_secrets(text), file)
         self.client.set_terminated(run_id, status, end_time=end)
         return run_id
 
@@ -166,10 +199,5 @@ class MlflowExperiment:
         except TrackingError:
             raise
         except Exception as error:
-            line = next(iter(str(error).strip().splitlines()), "") or type(error).__name__
-            line = without_password(line)[:300].rstrip(".")
-            raise TrackingError(
-                f"MLflow at {without_password(self.uri)} refused ({line}); "
-                "artifacts on disk are safe: repair it, or set MLFLOW_TRACKING_URI to another "
-                "one, and give the same command again."
-            ) from error
+            # The cause is left out: its text and those of its own causes may hold secrets.
+            raise TrackingError(refusal(error, self.address)) from None

@@ -3,13 +3,14 @@
 import getpass
 import logging
 import os
-import re
 import sqlite3
 import subprocess
 from pathlib import Path
 from typing import Any
 
-__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "source_tags", "without_password"]
+from flows.pipeline.tracking.mlflow_address import StoreAddress, sqlite_address
+
+__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "source_tags"]
 
 EXPERIMENT = "proximity-bench"
 """Name of the MLflow experiment that all sweeps share."""
@@ -27,26 +28,30 @@ def import_mlflow() -> Any:
         os.environ.setdefault(name, value)
     import mlflow
 
-    for name in ("mlflow", "alembic"):
-        # What they log as an error they also raise, and it is reported as one sentence.
+    for name in ("mlflow", "alembic", "urllib3"):
+        # What they log as an error they also raise, and it is reported as one sentence; what
+        # urllib3 logs of a request that failed may hold a token.
         logging.getLogger(name).setLevel(logging.CRITICAL)
     return mlflow
 
 
-def make_database(root: Path) -> None:
-    """Makes ROOT/mlflow.db with all its tables, in WAL mode, if there is none.
+def make_database(address: StoreAddress) -> None:
+    """Makes the store's database with all its tables, in WAL mode, if there is none.
 
     It grows under another name: a database whose maker was killed halfway stays unusable.
+
+    Args:
+        address: Of the store.
     """
-    path = root / "mlflow.db"
-    if path.exists():
+    root, path = address.root, address.database
+    if path.exists() and path.stat().st_size:
         return
     from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 
     young = root / ".mlflow-young.db"
     for leftover in root.glob(f"{young.name}*"):
         leftover.unlink()
-    store = SqlAlchemyStore(f"sqlite:///{young}", (root / "artifacts").as_uri())
+    store = SqlAlchemyStore(sqlite_address(young), address.artifacts)
     store.engine.dispose()
     connection = sqlite3.connect(young)
     try:
@@ -77,8 +82,3 @@ def source_tags() -> dict[str, str]:
     except (OSError, subprocess.SubprocessError):
         pass
     return tags
-
-
-def without_password(uri: str) -> str:
-    """An address without the password in it."""
-    return re.sub(r"//[^/@]*@", "//", uri)

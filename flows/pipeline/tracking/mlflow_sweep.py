@@ -1,6 +1,5 @@
 """The parent run of a sweep in MLflow."""
 
-import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,8 +8,9 @@ from typing import Any
 from flows.pipeline.plan import Plan
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_run import flat
-from flows.pipeline.tracking.mlflow_writes import log_batches
-from flows.pipeline.tracking.sweep_lock import hold_sweep
+from flows.pipeline.tracking.mlflow_writes import log_anew, log_batches
+from flows.pipeline.tracking.redaction import without_secrets
+from flows.pipeline.tracking.sweep_lock import check_sweep_name, hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
 
 __all__ = ["MlflowSweep"]
@@ -56,10 +56,11 @@ class MlflowSweep:
             TrackingError: MLflow cannot be used, or another process is running this sweep.
             ValueError: the name holds other characters.
         """
-        with ExitStack() as held:
+        check_sweep_name(name)
+        # Whoever looks whether this sweep's lock is held is alone, too, and does not meet us here.
+        with self._experiment.writing(), ExitStack() as held:
             held.enter_context(hold_sweep(self._experiment.root, name))
-            with self._experiment.writing():
-                self.run_id = self._parent(name, dict(tags or {}), dict(params or {}), plan)
+            self.run_id = self._parent(name, dict(tags or {}), dict(params or {}), plan)
             self._lock = held.pop_all()  # an error above gives it back
         self.name = name
 
@@ -70,6 +71,7 @@ class MlflowSweep:
         if plan is not None:
             params |= {f"nodes.{component}": n for component, n in plan.counts().items()}
         tags = experiment.common | tags | {"role": "sweep", "sweep": name}
+        tags = {key: without_secrets(text) for key, text in tags.items()}
         known: Mapping[str, str] = {}
         run = next(experiment.search(f"tags.role = 'sweep' and tags.sweep = '{name}'"), None)
         if run is None:
@@ -101,15 +103,6 @@ class MlflowSweep:
         with self._lock, self._experiment.as_tracking_errors():
             for file in files:
                 client.log_artifact(self.run_id, str(file), "report")
-            now = int(time.time() * 1000)
-            log_batches(
-                client,
-                self.run_id,
-                metrics=[
-                    (name, float(value), now, step)
-                    for name, points in (metrics or {}).items()
-                    for step, value in points
-                ],
-            )
+            log_anew(client, self.run_id, metrics or {})
             client.set_terminated(self.run_id, status)
             self.run_id = None

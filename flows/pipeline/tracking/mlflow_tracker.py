@@ -1,7 +1,7 @@
 """Sweeps in MLflow: a parent run per sweep, below it one run per node.
 
 A node's run is written after its artifact is complete on disk. A run that a killed driver left
-half-written is closed as KILLED at the next start, and the node gets a whole one.
+half-written is closed as KILLED when the store is opened next, and the node gets a whole one.
 """
 
 from collections.abc import Iterable, Mapping
@@ -55,11 +55,6 @@ class MlflowTracker:
             ValueError: the name holds other characters.
         """
         self.sweep.open(name, tags, params, plan)
-        with self.experiment.writing():
-            for run in self.experiment.search(
-                "attributes.status = 'RUNNING' and tags.role = 'node'"
-            ):
-                self.experiment.client.set_terminated(run.info.run_id, "KILLED")
         wanted = None if plan is None else {node.key for node in plan}
         with self.experiment.as_tracking_errors():
             for run in self.experiment.search(

@@ -1,31 +1,178 @@
-"""The MLflow UI: the command that serves it, and the address of the list of runs in it."""
+"""The MLflow server behind the UI: started, asked whether it answers for this store, ended."""
 
-import sqlite3
+import json
+import os
+import signal
+import socket
+import subprocess
 import sys
-from contextlib import closing
-from pathlib import Path
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from http.client import HTTPConnection, HTTPException
+from typing import Any
+from urllib.parse import quote
 
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_setup import EXPERIMENT
+from flows.pipeline.tracking.redaction import without_secrets
 
-__all__ = ["runs_address", "server_command"]
+__all__ = ["UiServer", "runs_address"]
 
-
-def server_command(store: str, port: int) -> list[str]:
-    """The command line of the MLflow server for a tracking address."""
-    return [
-        sys.executable,
-        *("-m", "mlflow", "ui", "--backend-store-uri", store),
-        *("--host", "127.0.0.1", "--port", str(port), "--workers", "1"),
-    ]
+_HOST = "127.0.0.1"
+_START = 180.0  # seconds until a server must answer
+_END = 10.0  # seconds in which it may end by itself
+_PAUSE = 0.2  # seconds between two questions
 
 
-def runs_address(database: Path, port: int) -> str:
-    """The address of the list of runs; MLflow's own start page leads elsewhere."""
-    address = f"http://127.0.0.1:{port}"
-    with closing(sqlite3.connect(database)) as connection:
-        found = connection.execute(
-            "select experiment_id from experiments where name = ?", (EXPERIMENT,)
-        ).fetchone()
-    if found is None:
+def runs_address(port: int, experiment: Any) -> str:
+    """The address of the list of runs; MLflow's own start page leads elsewhere.
+
+    Args:
+        port: Of the server.
+        experiment: The store's experiment; None if unknown.
+    """
+    address = f"http://{_HOST}:{port}"
+    if experiment is None:
         return address
-    return f"{address}/#/experiments/{found[0]}/runs?workflowType=machine_learning"
+    return f"{address}/#/experiments/{experiment.experiment_id}/runs?workflowType=machine_learning"
+
+
+class UiServer:
+    """An MLflow server on this computer's own address, with all processes that it starts.
+
+    Used as a context: leaving it ends them all.
+    """
+
+    def __init__(self, address: StoreAddress, port: int, experiment: Any = None) -> None:
+        """Starts nothing yet.
+
+        Args:
+            address: Of the store.
+            port: To listen on.
+            experiment: The store's experiment, as MLflow knows it; None if unknown.
+        """
+        self._address = address
+        self._port = port
+        self._experiment = experiment
+        self._process: subprocess.Popen[str] | None = None
+        self._last: deque[str] = deque(maxlen=50)
+        self._ready = False
+
+    def __enter__(self) -> "UiServer":
+        """Starts the server and waits until it answers for this store.
+
+        Raises:
+            TrackingError: The port is taken, or the server does not answer.
+        """
+        _check_free(self._port)
+        # The address goes by the environment: a list of processes would show a password.
+        environment = os.environ | {
+            "MLFLOW_BACKEND_STORE_URI": self._address.tracking,
+            "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+        }
+        command = [sys.executable, "-m", "mlflow", "ui", "--host", _HOST]
+        self._process = subprocess.Popen(
+            [*command, "--port", str(self._port), "--workers", "1"],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,  # a group of its own, which is ended as a whole
+        )
+        threading.Thread(target=self._pass_on, daemon=True).start()
+        try:
+            self._wait_until_it_answers(self._process)
+        except BaseException:
+            self.stop()
+            raise
+        self._ready = True
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Ends the server."""
+        self.stop()
+
+    def wait(self) -> int:
+        """Waits until the server ends by itself; its exit code."""
+        assert self._process is not None
+        return self._process.wait()
+
+    def stop(self) -> None:
+        """Ends the server and whatever it started; does nothing if none runs."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_END)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+    def _pass_on(self) -> None:
+        """Keeps what the server says until it answers; passes it on afterwards."""
+        process = self._process
+        assert process is not None
+        assert process.stdout is not None
+        for line in process.stdout:
+            text = without_secrets(line.rstrip())
+            self._last.append(text)
+            if self._ready:
+                print(text, file=sys.stderr, flush=True)
+
+    def _wait_until_it_answers(self, process: "subprocess.Popen[str]") -> None:
+        deadline = time.monotonic() + _START
+        while not self._answers():
+            if process.poll() is not None or time.monotonic() > deadline:
+                said = next((line for line in reversed(self._last) if line.strip()), "nothing")
+                raise TrackingError(
+                    f"The MLflow server on port {self._port} did not start (it said: {said}); "
+                    "look whether `python -m mlflow ui` starts elsewhere, or give another --port."
+                )
+            threading.Event().wait(_PAUSE)
+
+    def _answers(self) -> bool:
+        """Whether MLflow answers, and knows the store's experiment at the store's place."""
+        query = f"/api/2.0/mlflow/experiments/get-by-name?experiment_name={quote(EXPERIMENT)}"
+        connection = HTTPConnection(_HOST, self._port, timeout=10.0)
+        try:
+            connection.request("GET", query)
+            found = json.loads(connection.getresponse().read())
+        except (OSError, HTTPException, ValueError):
+            return False
+        finally:
+            connection.close()
+        if not isinstance(found, dict):
+            return False
+        if self._experiment is None:
+            return "experiment" in found or "error_code" in found
+        answer = found.get("experiment", {})
+        return all(
+            answer.get(name) == getattr(self._experiment, name)
+            for name in ("experiment_id", "artifact_location")
+        )
+
+
+def _check_free(port: int) -> None:
+    with socket.socket() as probe:
+        # As the server does it: a port that was in use a moment ago is free.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_HOST, port))
+        except OSError as error:
+            raise TrackingError(
+                f"Port {port} of this computer cannot be used ({error.strerror}): another program "
+                f"may be listening there; give another one, e.g. --port {_free_port()}."
+            ) from None
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((_HOST, 0))
+        return int(probe.getsockname()[1])

@@ -1,11 +1,20 @@
 """Writes into an MLflow run, within the sizes that one call may have."""
 
+import math
+import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["log_batches", "log_datasets"]
+from flows.pipeline.tracking.tracker import Metrics
+
+__all__ = ["log_anew", "log_batches", "log_datasets", "split_finite"]
+
+NOT_FINITE = "not_finite"
+"""Tag of a run with the names of its metrics that are infinite or no number."""
 
 _CHUNK = {"metrics": 1000, "params": 100, "tags": 100}  # MLflow's limits for one log_batch
+_TAG_LENGTH = 5000
 _DIGEST_LENGTH = 36  # MLflow's limit
 
 
@@ -18,6 +27,9 @@ def log_batches(
 ) -> None:
     """Writes any number of entries in few calls.
 
+    Metrics that are no finite number are left out and named in the tag `not_finite`: MLflow's
+    databases show an infinite one as 1.8e308, and its charts draw the line there.
+
     Args:
         client: An MlflowClient.
         run_id: The run.
@@ -27,14 +39,66 @@ def log_batches(
     """
     from mlflow.entities import Metric, Param, RunTag
 
+    finite, others = split_finite(metrics)
+    tags = dict(tags or {}) | ({NOT_FINITE: others[:_TAG_LENGTH]} if others else {})
     parts: dict[str, list[Any]] = {
-        "metrics": [Metric(*metric) for metric in metrics],
+        "metrics": [Metric(*metric) for metric in finite],
         "params": [Param(*param) for param in (params or {}).items()],
-        "tags": [RunTag(*tag) for tag in (tags or {}).items()],
+        "tags": [RunTag(*tag) for tag in tags.items()],
     }
     for name, entries in parts.items():
         for at in range(0, len(entries), _CHUNK[name]):
             client.log_batch(run_id, **{name: entries[at : at + _CHUNK[name]]})
+
+
+def split_finite(
+    metrics: Iterable[tuple[str, float, int, int]],
+) -> tuple[list[tuple[str, float, int, int]], str]:
+    """The metrics that are finite numbers, and the others as a text.
+
+    Args:
+        metrics: (name, value, milliseconds since 1970, step).
+
+    Returns:
+        Such metrics, and e.g. `loss: inf at 3 of 5 steps, size: nan`.
+    """
+    finite, points = [], Counter[str]()
+    others: dict[str, list[float]] = {}
+    for metric in metrics:
+        name, value = metric[:2]
+        points[name] += 1
+        if math.isfinite(value):
+            finite.append(metric)
+        else:
+            others.setdefault(name, []).append(value)
+    texts = []
+    for name, values in others.items():
+        kinds = "/".join(sorted({str(value) for value in values}))
+        share = "" if points[name] == 1 else f" at {len(values)} of {points[name]} steps"
+        texts.append(f"{name}: {kinds}{share}")
+    return finite, ", ".join(texts)
+
+
+def log_anew(client: Any, run_id: str, metrics: Metrics) -> None:
+    """Writes those metrics of a run that it does not have, or has with another value.
+
+    Args:
+        client: An MlflowClient.
+        run_id: The run, of this sweep or of an earlier one of the same name.
+        metrics: Per name (step, value) pairs.
+    """
+    now = int(1000 * time.time())
+    run = client.get_run(run_id)
+    new = []
+    for name, points in metrics.items():
+        known: dict[int, float] = {}
+        if name in run.data.metrics:
+            past = client.get_metric_history(run_id, name)
+            known = {m.step: m.value for m in sorted(past, key=lambda m: m.timestamp)}
+        new += [(name, float(v), now, step) for step, v in points if known.get(step) != v]
+    if NOT_FINITE in run.data.tags:
+        client.delete_tag(run_id, NOT_FINITE)  # written again if it still holds
+    log_batches(client, run_id, metrics=new)
 
 
 def log_datasets(client: Any, run_id: str, datasets: Sequence[Mapping[str, Any]]) -> None:

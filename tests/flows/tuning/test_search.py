@@ -13,7 +13,8 @@ from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
 from flows.pipeline.store import ArtifactStore
 from flows.tuning import space as spaces
-from flows.tuning.study import _COMPARED_FROM, _PATIENCE, ended_trials, has_ended, open_journal
+from flows.tuning.journal import open_journal
+from flows.tuning.study import _COMPARED_FROM, _PATIENCE, ended_trials, has_ended
 from tests.flows.pipeline.toys import counted
 from tests.flows.tuning.toys import SPACE, STEPS, ToyConfig, run, specification, study
 

@@ -22,8 +22,9 @@ from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice
 from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
+from flows.tuning.journal import open_journal
 from flows.tuning.mlflow_trials import MlflowTrials
-from flows.tuning.study import Study, open_journal
+from flows.tuning.study import Study
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 

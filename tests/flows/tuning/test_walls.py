@@ -16,8 +16,9 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import NullTracker
 from flows.planning.benchmark import data_plan
 from flows.planning.studies import study_specifications
+from flows.tuning.journal import open_journal
 from flows.tuning.search import search
-from flows.tuning.study import Study, open_journal
+from flows.tuning.study import Study
 from flows.tuning.trials import NullTrials
 
 FORBIDDEN = (

@@ -12,9 +12,10 @@ from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
+from flows.tuning.journal import open_journal
 from flows.tuning.search import SearchOutcome, search
 from flows.tuning.space import Choice, Range, Space
-from flows.tuning.study import Study, StudySpecification, open_journal
+from flows.tuning.study import Study, StudySpecification
 from flows.tuning.trials import NullTrials
 from tests.flows.pipeline.toys import count, wait_for
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
+from flows.pipeline.json_lines import append_line, mend_last_line, read_lines
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -64,7 +64,7 @@ def test_sweep_and_nodes_are_recorded_without_mlflow(home: Path) -> None:
     assert (home / last["folder"] / "value.json").exists()
     assert last["time"] >= last["finished"] - 0.001 >= last["started"] - 0.001
     assert ended["status"] == "FINISHED"
-    assert ended["files"] == [str(home / "results.csv")]
+    assert ended["files"] == ["results.csv"]  # of the store, wherever it is moved
     assert not (home / "mlflow.db").exists()
     assert list((home / "locks").iterdir()) == []
 
@@ -140,12 +140,12 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path: Path) -> None:
 
 def test_half_lines_are_cut_and_whole_files_stay(tmp_path: Path) -> None:
     file = tmp_path / "lines.jsonl"
-    remove_partial_line(file)
+    mend_last_line(file)
     assert read_lines(file) == []
     file.write_text('{"a": 1}\n{"b"')
-    remove_partial_line(file)
+    mend_last_line(file)
     assert file.read_text() == json.dumps({"a": 1}) + "\n"
-    remove_partial_line(file)
+    mend_last_line(file)
     assert read_lines(file) == [{"a": 1}]
 
 

@@ -23,10 +23,10 @@ from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
 from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
-from flows.pipeline.tracking.mlflow_ui import runs_address, server_command
 from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import node, wait_for
 
@@ -38,7 +38,7 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An empty database, made once: its sixty migrations take more than a second."""
     root = tmp_path_factory.mktemp("template")
     import_mlflow()
-    make_database(root)
+    make_database(StoreAddress(root))
     return root / "mlflow.db"
 
 
@@ -283,16 +283,6 @@ def test_server_keeps_the_runs_and_their_artifacts(
     assert {"node.json", "deep", "curves.npz"} <= files
     assert last.info.status == "FINISHED"
     assert not (bare / "mlflow.db").exists()
-
-
-def test_the_list_of_runs_has_an_address(home: Path) -> None:
-    assert runs_address(home / "mlflow.db", 5001) == "http://127.0.0.1:5001"  # no experiment yet
-    experiment = MlflowTracker(home).experiment.id
-    assert runs_address(home / "mlflow.db", 5001).startswith(
-        f"http://127.0.0.1:5001/#/experiments/{experiment}/runs"
-    )
-    command = server_command(f"sqlite:///{home}/mlflow.db", 5001)
-    assert command[command.index("--host") + 1] == "127.0.0.1"
 
 
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
