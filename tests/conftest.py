@@ -22,6 +22,9 @@ TOGETHER = {
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/test_notebooks.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
+    "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
+    "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",
+    "tests/flows/pipeline/tracking/test_mlflow_leftovers.py": "an empty database",
     "tests/flows/tuning/test_tuned_models.py": "tuned models",
 }
 

@@ -42,7 +42,7 @@ class StoreAddress:
         named = os.environ.get("MLFLOW_TRACKING_URI", "")
         self.own = not named
         self.tracking = named or sqlite_address(self.database)
-        remote = urlparse(self.tracking).scheme in _REMOTE if named else False
+        remote = named.partition(":")[0] in _REMOTE
         self.artifacts = None if remote else _file_address(self.root / "artifacts")
 
 

@@ -16,7 +16,7 @@ from flows.pipeline.locks import locked
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_errors import refusal
 from flows.pipeline.tracking.mlflow_leftovers import close_leftovers
-from flows.pipeline.tracking.mlflow_moves import follow_move
+from flows.pipeline.tracking.mlflow_moves import follow_move, former_place
 from flows.pipeline.tracking.mlflow_run import link_tree
 from flows.pipeline.tracking.mlflow_setup import (
     EXPERIMENT,
@@ -66,13 +66,17 @@ class MlflowExperiment:
             (self.root / "locks").mkdir(parents=True, exist_ok=True)
             mlflow = import_mlflow()
             with self._alone():
+                former = None
                 if self.address.own:
                     make_database(self.address)
-                    moved = follow_move(self.address)
-                    if moved:
-                        print(moved, file=sys.stderr)
+                    # MLflow would try for minutes to open a database that is damaged.
+                    former = former_place(self.address.database)
                 self.client = mlflow.MlflowClient(tracking_uri=self.address.tracking)
                 self.id = self._open(name)
+                # Only now is the database known to be one that this MLflow writes.
+                moved = follow_move(self.address, former)
+                if moved:
+                    print(moved, file=sys.stderr)
                 close_leftovers(self)
 
     def _open(self, name: str) -> str:

@@ -19,66 +19,17 @@ from rich.console import Console
 from components.core.files import write_json
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.plan import Node, Plan
+from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
-from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
-from flows.pipeline.tracking.mlflow_setup import import_mlflow, make_database
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import node, wait_for
+from tests.flows.pipeline.tracking.sweeps import run, runs, small
 
 pytestmark = pytest.mark.slow(1)
-
-
-@pytest.fixture(scope="module")
-def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty database, made once: its sixty migrations take more than a second."""
-    root = tmp_path_factory.mktemp("template")
-    import_mlflow()
-    make_database(StoreAddress(root))
-    return root / "mlflow.db"
-
-
-@pytest.fixture
-def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder that is not there yet."""
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    (tmp_path / "log").mkdir()
-    return tmp_path / "my runs"  # a blank, as in many home folders
-
-
-@pytest.fixture
-def home(bare: Path, database: Path) -> Path:
-    """A folder with an empty database."""
-    bare.mkdir()
-    shutil.copy(database, bare)
-    return bare
-
-
-def run(home: Path, nodes: list[Node], sweep: str = "first") -> tuple[Outcome, MlflowTracker]:
-    tracker = MlflowTracker(home, source="tests")
-    plan = Plan(nodes)
-    tracker.open(sweep, {"profile": "toy"}, {"a": {"b": [1, 2]}}, plan)
-    with open(os.devnull, "w", encoding="utf-8") as null:
-        display = Display(Console(file=null))
-        outcome = run_plan(plan, ArtifactStore(home), tracker, display, executor=SerialExecutor())
-    report = home / "results.csv"
-    report.write_text("dataset\n")
-    tracker.close(outcome.status, [report], {"nodes": [(0, len(plan))]})
-    return outcome, tracker
-
-
-def runs(tracker: MlflowTracker, role: str) -> list[Any]:
-    return list(tracker.experiment.search(f"tags.role = '{role}'"))
-
-
-def small(home: Path) -> list[Node]:
-    log = home.parent / "log"
-    source = node("number", "source", log, number=2)
-    return [node("total", "last", log, {"a": source}, lanes="", list=[1, 2], nested={"x": None})]
 
 
 def test_sweep_and_nodes_are_recorded(home: Path) -> None:
@@ -146,6 +97,7 @@ def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
 @pytest.mark.slow(2)
 def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
     bare.mkdir()
+    (bare / "mlflow.db").touch()  # an empty file is none
     (bare / ".mlflow-young.db").write_bytes(b"half a database")
     _, tracker = run(bare, small(bare))
     assert len(runs(tracker, "node")) == 2
