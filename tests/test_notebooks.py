@@ -1,6 +1,7 @@
 """The notebooks: kept without outputs, free of logic, and running on a real sweep's store."""
 
 import ast
+import shutil
 from pathlib import Path
 
 import nbformat
@@ -40,7 +41,15 @@ def test_notebooks_hold_no_logic(path: Path) -> None:
 def test_results_notebook_shows_table_and_figure(
     smoke: SmokeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("PROXIMITY_STORE", str(smoke.store))
+    # A later sweep of another kind lies beside the one that is asked for; its files are no report.
+    store = tmp_path / "runs"
+    store.mkdir()
+    (store / "nodes").symlink_to(smoke.store / "nodes")
+    shutil.copytree(smoke.store / "reports", store / "reports")
+    (store / "reports" / "later").mkdir()
+    (store / "reports" / "later" / "results.csv").write_text("no table\n")
+    monkeypatch.setenv("PROXIMITY_STORE", str(store))
+    monkeypatch.setenv("PROXIMITY_SWEEP", "smoke")
     notebook = nbformat.read(ROOT / "notebooks" / "results.ipynb", as_version=4)
     NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}

@@ -106,22 +106,26 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
 
     Args:
         store: Folder of all outputs of runs.
-        sweep: Its name; the newest one if None.
+        sweep: Its name; may be None or empty if there is only one. Of several, none is taken by
+            its age: the newest may be a test, and a copied store has lost the ages.
 
     Raises:
         FileNotFoundError: No such sweep, or none at all, has a report there, or an older version
             wrote it.
-        ValueError: A file of the report is damaged.
+        ValueError: A file of the report is damaged, or there are several and none is named.
     """
-    tables = sorted(store.glob("reports/*/results.csv"), key=lambda path: path.stat().st_mtime)
+    tables = {path.parent.name: path for path in store.glob("reports/*/results.csv")}
     if not tables:
         raise FileNotFoundError(f"{store} holds no report yet; run the benchmark to make one.")
-    names = [path.parent.name for path in tables]
-    if sweep is not None and sweep not in names:
-        raise FileNotFoundError(
-            f"{store} holds no report of {sweep!r}; there are {', '.join(sorted(names))}."
+    names = ", ".join(sorted(tables))
+    if not sweep and len(tables) > 1:
+        raise ValueError(
+            f"{store} holds the reports of several sweeps: {names}; name one, in the notebook by "
+            "PROXIMITY_SWEEP."
         )
-    table = tables[-1] if sweep is None else tables[names.index(sweep)]
+    if sweep and sweep not in tables:
+        raise FileNotFoundError(f"{store} holds no report of {sweep!r}; there are {names}.")
+    table = tables[sweep] if sweep else next(iter(tables.values()))
     report_nodes = ReportNodes.load(table.parent)
     nodes = store / "nodes"
     summaries = [read_json(nodes / key / "summary.json") for key in report_nodes.aggregations]

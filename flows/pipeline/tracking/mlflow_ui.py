@@ -73,9 +73,8 @@ class UiServer:
             "MLFLOW_BACKEND_STORE_URI": self._address.tracking,
             "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
         }
-        command = [sys.executable, "-m", "mlflow", "ui", "--host", _HOST]
         self._process = subprocess.Popen(
-            [*command, "--port", str(self._port), "--workers", "1"],
+            _command(self._port),
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -157,6 +156,11 @@ class UiServer:
             answer.get(name) == getattr(self._experiment, name)
             for name in ("experiment_id", "artifact_location")
         )
+
+
+def _command(port: int) -> list[str]:
+    words = ["-m", "mlflow", "ui", "--host", _HOST, "--port", str(port), "--workers", "1"]
+    return [sys.executable, *words]
 
 
 def _check_free(port: int) -> None:

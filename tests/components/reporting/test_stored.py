@@ -72,8 +72,8 @@ def store(tmp_path: Path) -> Path:
 
 
 def test_a_report_takes_its_own_summaries_only(store: Path) -> None:
-    report = open_report(store)
-    assert report.folder.name == "new"  # the newest
+    report = open_report(store, "new")
+    assert report.folder.name == "new"
     assert [s["algorithm"] for s in report.summaries] == ["lion", "td3_bc"]  # in the table's order
     assert [s["seeds"] for s in report.summaries] == [[0, 1], [0, 1]]
     assert report.behaviour_returns == {"mediocre-0.2": -90.0}
@@ -108,8 +108,14 @@ def test_missing_reports_are_named(store: Path, tmp_path: Path) -> None:
         open_report(tmp_path)
 
 
+def test_of_several_reports_none_is_taken_that_was_not_asked_for(store: Path) -> None:
+    for nothing in (None, ""):
+        with pytest.raises(ValueError, match=r"several sweeps: new, old; .* PROXIMITY_SWEEP\."):
+            open_report(store, nothing)
+
+
 def test_figures_are_drawn_where_a_policy_takes_proximity(store: Path) -> None:
-    figures = figures_over_proximity(open_report(store))
+    figures = figures_over_proximity(open_report(store, "new"))
     assert list(figures) == ["mediocre-0.2"]
     upper = figures["mediocre-0.2"].axes[0]
     assert list(upper.lines[0].get_ydata()) == pytest.approx([-78.0, -78.0 + 1 / 3, -78.0 + 2 / 3])
