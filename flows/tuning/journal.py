@@ -18,6 +18,8 @@ from flows.pipeline.locks import Lock
 
 __all__ = ["journal_path", "open_journal"]
 
+_BEGIN = b'{"op_code":'  # of every line that Optuna writes
+
 
 def journal_path(store: Path) -> Path:
     """Where a store's journal lies; ``optuna-dashboard PATH`` shows it.
@@ -47,8 +49,6 @@ def open_journal(path: Path) -> JournalStorage:
     try:
         _check(path)
         mend_last_line(path)
-    except ValueError:
-        raise _damaged(path, _number_of_lines(path) + 1) from None
     finally:
         lock.release()
     with warnings.catch_warnings():
@@ -65,14 +65,14 @@ def open_journal(path: Path) -> JournalStorage:
 
 
 def _check(path: Path) -> None:
-    """Looks at every line that is whole.
+    """Looks at every line that is whole, and at the beginning of one that is not.
 
     Raises:
         PipelineError: One is not a change of a study.
     """
     if not path.exists():
         return
-    *whole, _ = path.read_bytes().split(b"\n")
+    *whole, rest = path.read_bytes().split(b"\n")
     for number, text in enumerate(whole, start=1):
         try:
             change = json.loads(text)
@@ -80,10 +80,8 @@ def _check(path: Path) -> None:
             change = None
         if not isinstance(change, dict) or not {"op_code", "worker_id"} <= change.keys():
             raise _damaged(path, number)
-
-
-def _number_of_lines(path: Path) -> int:
-    return path.read_bytes().count(b"\n")
+    if not rest.startswith(_BEGIN[: len(rest)]):
+        raise _damaged(path, len(whole) + 1)
 
 
 def _damaged(path: Path, line: int) -> PipelineError:

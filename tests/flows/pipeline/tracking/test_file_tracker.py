@@ -149,6 +149,28 @@ def test_half_lines_are_cut_and_whole_files_stay(tmp_path: Path) -> None:
     assert read_lines(file) == [{"a": 1}]
 
 
+def test_what_only_lacks_its_end_is_ended_and_what_is_foreign_stays(tmp_path: Path) -> None:
+    file = tmp_path / "lines.jsonl"
+    file.write_text('{"a": 1}\n{"b": 2}')
+    mend_last_line(file)
+    assert read_lines(file) == [{"a": 1}, {"b": 2}]
+    file.write_bytes(b"SQLite format 3\x00\n and more")
+    before = file.read_bytes()
+    with pytest.raises(ValueError, match=r"line 2 of .*lines\.jsonl is no JSON object"):
+        mend_last_line(file)
+    assert file.read_bytes() == before
+
+
+def test_numbers_that_are_not_finite_are_words(home: Path) -> None:
+    tracker = FileTracker(home)
+    for _ in range(2):
+        tracker.open("first")
+        tracker.close("FINISHED", metrics={"loss": [(0, float("inf")), (1, float("nan"))]})
+    text = (home / "tracking" / "first.jsonl").read_text()
+    _, ended = (json.loads(line, parse_constant=pytest.fail) for line in text.splitlines())
+    assert ended["metrics"] == {"loss": [[0, "inf"], [1, "nan"]]}
+
+
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
     (home / "locks").mkdir(parents=True)
     with (
