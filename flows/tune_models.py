@@ -38,7 +38,7 @@ Look at the trials:    pip install '.[dashboard]', then optuna-dashboard mlruns/
                        in MLflow (python -m flows.ui) they are runs with the tags study and trial.
 
   profile=smoke|quick|paper       budgets and selection of datasets; paper is the default
-  datasets=[a,b]                  names in conf/dataset, or all
+  datasets=[a,b]                  names in conf/dataset, or all: every file there
   models=[a,b]                    names in components/models, or all; recurrent_ensemble by default
   trials=30                       per dataset and model
   model.NAME.KEY=VALUE            where its search starts, e.g. model.action_vae.epochs=20
