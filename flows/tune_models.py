@@ -34,7 +34,7 @@ default configuration. Everything is kept under mlruns/. To continue a search th
 the same command again; a larger number of trials extends a search.
 
 Use the best settings: python -m flows.full_benchmark models=tuned
-Look at the trials:    pip install '.[dashboard]', then optuna-dashboard mlruns/optuna/journal.log;
+Look at the trials:    pip install -e '.[dashboard]'; optuna-dashboard mlruns/optuna/journal.log;
                        in MLflow (python -m flows.ui) they are runs with the tags study and trial.
 
   profile=smoke|quick|paper       budgets and selection of datasets; paper is the default

@@ -1,5 +1,6 @@
 """Files of conf/: the one key of each is its own name; other files beside them do no harm."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -68,3 +69,25 @@ def test_binary_files_are_refused_and_hidden_files_named(folder: Path) -> None:
 def test_a_missing_conf_is_called_missing(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"profile is missing or empty; .* install it again"):
         names_in(tmp_path / "profile")
+
+
+def test_all_that_is_read_at_run_time_is_packaged() -> None:
+    root = CONF.parent
+    setuptools = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "setuptools"
+    ]
+    packaged = {
+        file
+        for package, patterns in setuptools["package-data"].items()
+        for pattern in patterns
+        for file in root.joinpath(*package.split(".")).glob(pattern)
+    }
+    found = setuptools["packages"]["find"]["include"]
+    assert {package for package in setuptools["package-data"] if package[:4] == "conf"} <= {*found}
+    rooms = [root / "components", root / "flows", *(CONF / g for g in ("dataset", "domain"))]
+    for room in (*rooms, CONF / "profile"):
+        files = {
+            file for file in room.rglob("*") if file.is_file() and "__pycache__" not in str(file)
+        }
+        assert {file for file in files if file.suffix not in (".py", ".pyc")} <= packaged
+    assert CONF / "config.yaml" in packaged
