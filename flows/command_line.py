@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import torch
 from rich.console import Console
+from rich.markup import escape
 
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
 from flows.configuration.shown import settings_yaml
@@ -72,6 +73,8 @@ def main(
     """
 
     def shown_or_done(settings: Settings) -> int:
+        for note in settings.notes:
+            print(f"Note: {note}", file=sys.stderr)
         if not settings.show_settings:
             return body(settings)
         print(settings_yaml(settings), end="")
@@ -178,7 +181,7 @@ def run_sweep(
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
-    display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
+    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
     display.show_plan(plan, store, executor.slots)
     if settings.dry_run:
         return 0

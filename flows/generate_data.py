@@ -20,7 +20,7 @@ usage: python -m flows.generate_data [KEY=VALUE ...]
 
 Generate datasets and export them for Minari, into mlruns/minari.
 
-  datasets=[a,b]                  names in conf/dataset, or all; all is the default
+  datasets=[a,b]                  names in conf/dataset, or all: every file there; the default
   data.seed=0                     of the generation; equal seeds give equal bytes
   data.trajectories=100           of an Industrial Benchmark dataset
   data.steps=1000                 per trajectory; of a robot at most

@@ -18,6 +18,7 @@ from components.policies.policy import Policy
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.pipeline.errors import TrackingError
+from flows.configuration.overrides import split_word
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_errors import refusal
@@ -65,10 +66,10 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     """
     fields: dict[str, Any] = {}
     for word in words:
-        key, equals, value = word.partition("=")
-        if not equals or not key:
-            raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. seed=1.")
-        fields[_FORMER_KEYS.get(key, key)] = value
+        key, value = split_word(word)
+        key = _FORMER_KEYS.get(key, key)
+        if fields.setdefault(key, value) != value:
+            raise SettingsError(f"{key} is given twice; give it once.")
     for name in ("run", "out"):
         if name not in fields:
             raise SettingsError(f"{name}= is missing; write run=ID out=FILE, e.g. out=walker.mp4.")

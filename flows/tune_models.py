@@ -35,11 +35,11 @@ default configuration. Everything is kept under mlruns/. To continue a search th
 the same command again; a larger number of trials extends a search.
 
 Use the best settings: python -m flows.full_benchmark models=tuned
-Look at the trials:    pip install '.[dashboard]', then optuna-dashboard mlruns/optuna/journal.log;
+Look at the trials:    pip install -e '.[dashboard]'; optuna-dashboard mlruns/optuna/journal.log;
                        in MLflow (python -m flows.ui) they are runs with the tags study and trial.
 
   profile=smoke|quick|paper       budgets and selection of datasets; paper is the default
-  datasets=[a,b]                  names in conf/dataset, or all
+  datasets=[a,b]                  names in conf/dataset, or all: every file there
   models=[a,b]                    names in components/models, or all; recurrent_ensemble by default
   trials=30                       per dataset and model
   model.NAME.KEY=VALUE            where its search starts, e.g. model.action_vae.epochs=20

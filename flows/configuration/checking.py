@@ -1,23 +1,29 @@
 """Builds checked objects from plain values; what does not fit ends in one sentence.
 
 A schema is a pydantic model, a typed dictionary or a plain dataclass of a component. The same
-rules hold for all: no unknown keys, no infinite numbers, no boolean where a number belongs.
+rules hold for all: no unknown keys, no infinite numbers or numbers beyond those that PyTorch
+computes with, no boolean where a number belongs. Folders may begin with `~`.
 """
 
-import dataclasses
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model, field_validator
 from pydantic_core import ErrorDetails
-from typing_extensions import get_type_hints, is_typeddict
+
+from flows.configuration.field_types import keys_of
 
 __all__ = ["SettingsError", "StrictModel", "build_config", "first_line", "hint"]
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _NO_GROUP = ("model_type", "dict_type", "dataclass_type")
+_NO_LIST = ("tuple_type", "list_type")
+_LARGEST_WHOLE: Final = 2**63 - 1
+_LARGEST: Final = 3.4e38  # of single precision
 
 
 class SettingsError(ValueError):
@@ -28,6 +34,16 @@ class StrictModel(BaseModel):
     """A frozen group of settings that refuses unknown keys and infinite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _from_home(cls, value: Any) -> Any:
+        if not isinstance(value, Path):
+            return value
+        try:
+            return value.expanduser()
+        except RuntimeError as error:
+            raise ValueError(f"there is no such home folder: {value}.") from error
 
 
 def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> Any:
@@ -42,10 +58,10 @@ def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> A
     Raises:
         SettingsError: One sentence that names the key.
     """
-    missing = [name for name in _keys(kind) if isinstance(fields, Mapping) and name not in fields]
+    missing = [name for name in keys_of(kind) if isinstance(fields, Mapping) and name not in fields]
     if exact and missing:
         raise SettingsError(f"{path} lacks {', '.join(missing)}.")
-    _refuse_booleans(kind, path, fields)
+    _refuse_odd_values(kind, path, fields)
     try:
         return _holder(kind)(held=fields).held  # type: ignore[attr-defined]
     except ValidationError as error:
@@ -58,26 +74,28 @@ def _holder(kind: Any) -> type[StrictModel]:
     return create_model("Holder", __base__=StrictModel, held=(kind, ...))
 
 
-def _keys(kind: Any) -> dict[str, Any]:
-    """The keys of a schema and the types of their values; empty for any other type."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return {field.alias or n: field.annotation for n, field in kind.model_fields.items()}
-    if not is_typeddict(kind) and not dataclasses.is_dataclass(kind):
-        return {}
-    types = get_type_hints(kind)
-    if dataclasses.is_dataclass(kind):
-        return {field.name: types[field.name] for field in dataclasses.fields(kind)}
-    return types
+def _refuse_odd_values(kind: Any, where: str, value: Any) -> None:
+    """Refuse what pydantic would let pass: booleans as 0 and 1, and numbers beyond all bounds."""
+    if isinstance(value, Mapping):
+        keys = keys_of(kind)
+        for name, part in value.items():
+            inner = f"{where}.{name}" if where else str(name)
+            if isinstance(part, bool) and keys.get(name, bool) is not bool:
+                raise _no_boolean(inner, part)
+            _refuse_odd_values(keys.get(name), inner, part)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            if isinstance(part, bool):
+                raise _no_boolean(where, part)
+            _refuse_odd_values(None, where, part)
+    elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+        raise SettingsError(f"{where}={value} is too large; the largest number is 2^63 - 1.")
+    elif isinstance(value, float) and _LARGEST < abs(value) < float("inf"):
+        raise SettingsError(f"{where}={value} is too large; the largest number is {_LARGEST:g}.")
 
 
-def _refuse_booleans(kind: Any, path: str, fields: Any) -> None:
-    """Refuse booleans where numbers belong: pydantic would read them as 0 and 1."""
-    keys = _keys(kind)
-    for name, value in fields.items() if isinstance(fields, Mapping) else ():
-        where = f"{path}.{name}" if path else str(name)
-        if isinstance(value, bool) and keys.get(name, bool) is not bool:
-            raise SettingsError(f"{where}={str(value).lower()}: Input should not be a boolean.")
-        _refuse_booleans(keys.get(name), where, value)
+def _no_boolean(where: str, value: bool) -> SettingsError:
+    return SettingsError(f"{where}={str(value).lower()}: Input should not be a boolean.")
 
 
 def _sentence(kind: Any, path: str, error: ErrorDetails) -> str:
@@ -89,12 +107,14 @@ def _sentence(kind: Any, path: str, error: ErrorDetails) -> str:
     where = ".".join([*([path] if path else []), *map(str, steps)])
     if error["type"] in _UNKNOWN:
         for step in steps[:-1]:
-            kind = _keys(kind).get(str(step))
-        valid = list(_keys(kind))
+            kind = keys_of(kind).get(str(step))
+        valid = list(keys_of(kind))
         listing = f"valid keys there: {', '.join(valid)}."
         return f"Unknown key {where!r}; {listing}{hint(str(steps[-1]), valid)}"
     if error["type"] in _NO_GROUP:
         return f"{where}={error['input']!r} must be a group of keys, e.g. {where}.KEY=VALUE."
+    if error["type"] in _NO_LIST:
+        return f"{where}={error['input']} must be a list; write {where}=[{error['input']}]."
     if error["type"] == "missing":
         return f"{where} is missing; give it a value."
     if error["type"] == "value_error":
@@ -104,9 +124,25 @@ def _sentence(kind: Any, path: str, error: ErrorDetails) -> str:
 
 
 def hint(word: str, valid: Iterable[str]) -> str:
-    """A further sentence that names the most similar valid word; empty if none is."""
-    close = difflib.get_close_matches(word, list(valid), n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
+    """A further sentence that names the most similar valid word; empty if none is.
+
+    Words that differ in their numbers alone, such as bad-0.4 and bad-0.6, are named together:
+    which of them is meant only the person knows.
+    """
+    by_case = {name.casefold(): name for name in valid}
+    close = difflib.get_close_matches(word.casefold(), list(by_case), n=1)
+    if not close:
+        return ""
+    found = by_case[close[0]]
+    family = [name for name in by_case.values() if _shape(name) == _shape(found)]
+    if len(family) > 1 and word.casefold() != close[0] and _shape(word) == _shape(found):
+        return f" Of this kind there are {', '.join(family)}."
+    return f" Did you mean {found!r}?"
+
+
+def _shape(word: str) -> str:
+    """A word with all its numbers made equal."""
+    return re.sub(r"[\d.]+", "0", word.casefold())
 
 
 def first_line(error: Exception) -> str:

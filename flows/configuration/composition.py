@@ -3,7 +3,8 @@
 Nothing is checked against types here; :mod:`flows.configuration.schema` does that afterwards.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -12,10 +13,17 @@ from pydantic import Field
 
 from flows.configuration.checking import SettingsError, StrictModel, build_config, hint
 from flows.configuration.defaults import component_defaults
-from flows.configuration.files import CONF, names_in, read_file, read_folder
+from flows.configuration.files import (
+    CONF,
+    ConfFolder,
+    foreign_in,
+    names_in,
+    read_file,
+    read_folder,
+)
 from flows.configuration.overrides import rename_old_keys
 
-__all__ = ["DEVIATIONS", "base_layers", "merged", "special_settings", "with_limits"]
+__all__ = ["DEVIATIONS", "Layers", "base_layers", "merged", "special_settings", "with_limits"]
 
 
 class Deviations(StrictModel):
@@ -43,16 +51,33 @@ DEVIATIONS = tuple(Deviations.model_fields)
 """Keys of a dataset's file that change settings of algorithms and models."""
 
 
+@dataclass(frozen=True)
+class Layers:
+    """The layers below the command line.
+
+    Attributes:
+        lower: Defaults of components with the datasets and domains of conf/.
+        upper: What wins over them, conf/config.yaml with the profile, its `others` spelled out.
+        base: Both merged.
+        datasets: The files of conf/dataset.
+        domains: The files of conf/domain.
+        foreign: Sentences about files of conf/ that are not read.
+    """
+
+    lower: DictConfig
+    upper: DictConfig
+    base: DictConfig
+    datasets: ConfFolder
+    domains: ConfFolder
+    foreign: tuple[str, ...]
+
+
 @cache
-def base_layers(profile: str) -> tuple[DictConfig, DictConfig, DictConfig]:
+def base_layers(profile: str) -> Layers:
     """The layers below the command line. They are cached: the caller must not change them.
 
-    Returns:
-        Defaults of components with the datasets and domains of conf/; what wins over them,
-        conf/config.yaml with the profile, its `others` spelled out; and both merged.
-
     Raises:
-        SettingsError: There is no such profile, or a file of conf/ is wrong.
+        SettingsError: There is no such profile, or its file or conf/config.yaml is wrong.
     """
     valid = names_in(CONF / "profile")
     if profile not in valid:
@@ -60,14 +85,16 @@ def base_layers(profile: str) -> tuple[DictConfig, DictConfig, DictConfig]:
             f"Unknown profile {profile!r}; valid ones are {', '.join(valid)}."
             + hint(profile, valid)
         )
-    groups = {group: read_folder(CONF / group) for group in ("dataset", "domain")}
+    datasets, domains = (read_folder(CONF / group) for group in ("dataset", "domain"))
     chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )
     defaults = component_defaults()
     limited = with_limits(chosen, defaults)
+    groups = {"dataset": datasets.content, "domain": domains.content}
     lower, upper = OmegaConf.create(defaults | groups), rename_old_keys(limited)
-    return lower, upper, merged([lower, upper])
+    foreign = [s for group in ("dataset", "domain", "profile") for s in foreign_in(CONF / group)]
+    return Layers(lower, upper, merged([lower, upper]), datasets, domains, tuple(foreign))
 
 
 def with_limits(chosen: DictConfig, defaults: Mapping[str, Any]) -> DictConfig:
@@ -104,57 +131,69 @@ def merged(layers: Sequence[DictConfig]) -> DictConfig:
     return OmegaConf.merge(*layers)  # type: ignore[return-value]
 
 
-def special_settings(layers: Sequence[DictConfig]) -> dict[str, dict[str, Any]]:
-    """Settings of algorithms and models by dataset, where it or its domain has its own.
+def special_settings(
+    layers: Sequence[DictConfig], datasets: Collection[str]
+) -> dict[str, dict[str, Any]]:
+    """Settings of algorithms and models where a dataset or its domain has its own.
 
     In every layer (conf/, profile, command line) a domain wins over what holds everywhere, and a
     dataset over its domain; a later layer wins over all of an earlier one.
 
+    Args:
+        layers: Later ones win.
+        datasets: Names of those that are chosen.
+
     Returns:
-        By dataset: `algorithm` and `model`, settings by name; `model_for`, by algorithm the
-        settings of the models that differ for it.
+        By place, `domain.NAME` for the domains of these datasets and of the last layer, then
+        `dataset.NAME` for those that have some of their own: `algorithm`
+        and `model`, settings by name; `model_for`, by algorithm the settings of the models that
+        differ for it.
 
     Raises:
         SettingsError: A dataset names a domain that has no file, or a domain or a dataset changes
             settings of algorithms and models in something that is not a group of keys.
     """
     whole: Any = OmegaConf.to_container(merged(layers), resolve=True)
-    _check_deviations(whole)
-    domains = layers[0].domain
+    files = {name: fields for name, fields in _files(whole).items() if name in datasets}
+    domains = {name: _domain(name, fields, whole["domain"]) for name, fields in files.items()}
     found = {}
-    for name, dataset in _files(whole).items():
-        if not {"domain", *DEVIATIONS} & set(dataset):
-            continue
-        places: tuple[tuple[str, ...], ...] = ((), ("dataset", name))
-        domain = dataset.get("domain")
-        if domain is not None:
-            if domain not in domains:
-                raise SettingsError(
-                    f"dataset.{name}.domain={domain!r} has no file in conf/domain; valid ones are "
-                    f"{', '.join(domains)}."
-                )
-            places = ((), ("domain", domain), ("dataset", name))
-        own = {group: _merged_group(group, layers, places) for group in ("algorithm", "model")}
-        wanted = _merged_group("model_for", layers, places)
-        own["model_for"] = {
-            algorithm: {model: own["model"].get(model, {}) | fields for model, fields in of.items()}
-            for algorithm, of in wanted.items()
-        }
-        found[str(name)] = own
+    changed = layers[-1].get("domain") or {}
+    for domain in sorted({*filter(None, domains.values()), *changed}):
+        build_config(Deviations, f"domain.{domain}", whole["domain"][domain])
+        found[f"domain.{domain}"] = _special(layers, ((), ("domain", domain)))
+    for name, fields in files.items():
+        own = {key: value for key, value in fields.items() if key in DEVIATIONS}
+        build_config(Deviations, f"dataset.{name}", own)
+        if own or domains[name]:
+            above = (("domain", domains[name]),) if domains[name] else ()
+            found[f"dataset.{name}"] = _special(layers, ((), *above, ("dataset", name)))
     return found
 
 
-def _check_deviations(whole: Mapping[str, Any]) -> None:
-    """Check that domains and datasets change settings in groups of known keys."""
-    if not isinstance(whole["domain"], Mapping):
+def _domain(name: str, fields: Mapping[str, Any], domains: Mapping[str, Any]) -> str:
+    """The domain of a dataset; empty if it has none."""
+    domain = fields.get("domain")
+    if domain is None:
+        return ""
+    if not isinstance(domain, str) or domain not in domains:
         raise SettingsError(
-            f"domain={whole['domain']!r} must be a group of keys, e.g. domain.KEY=VALUE."
+            f"dataset.{name}.domain={domain!r} has no file in conf/domain; valid ones are "
+            f"{', '.join(domains)}."
         )
-    for name, fields in whole["domain"].items():
-        build_config(Deviations, f"domain.{name}", fields)
-    for name, fields in _files(whole).items():
-        own = {key: value for key, value in fields.items() if key in DEVIATIONS}
-        build_config(Deviations, f"dataset.{name}", own)
+    return domain
+
+
+def _special(
+    layers: Sequence[DictConfig], places: Sequence[tuple[str, ...]]
+) -> dict[str, dict[str, Any]]:
+    """Settings of algorithms and models that several places give, later places before others."""
+    own = {group: _merged_group(group, layers, places) for group in ("algorithm", "model")}
+    wanted = _merged_group("model_for", layers, places)
+    own["model_for"] = {
+        algorithm: {model: own["model"].get(model, {}) | fields for model, fields in of.items()}
+        for algorithm, of in wanted.items()
+    }
+    return own
 
 
 def _files(whole: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

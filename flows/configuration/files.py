@@ -1,5 +1,10 @@
-"""Reads the files of conf/."""
+"""Reads the files of conf/.
 
+A file that is broken, or that is called otherwise than the key it holds, matters to nobody but
+those who select it: it is named, and the others keep their meaning.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +14,47 @@ from yaml import YAMLError
 
 from flows.configuration.checking import SettingsError, first_line
 
-__all__ = ["CONF", "names_in", "read_file", "read_folder"]
+__all__ = ["CONF", "ConfFolder", "foreign_in", "names_in", "read_file", "read_folder"]
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
 
+@dataclass(frozen=True)
+class ConfFolder:
+    """The files of a folder of conf/.
+
+    Attributes:
+        content: What each holds, by name.
+        broken: What is wrong with the others, by name.
+    """
+
+    content: dict[str, Any]
+    broken: dict[str, SettingsError]
+
+
 def names_in(folder: Path) -> list[str]:
-    """The files of a folder, by name; hidden ones belong to other programs."""
-    return sorted(path.stem for path in folder.glob("*.yaml") if not path.name.startswith("."))
+    """The files of a folder, by name; hidden ones belong to other programs.
+
+    Raises:
+        SettingsError: There is none, so conf/ is missing.
+    """
+    names = sorted(path.stem for path in folder.glob("*.yaml") if not path.name.startswith("."))
+    if not names:
+        raise SettingsError(
+            f"{folder} is missing or empty; the files of conf/ belong to this package: install it "
+            "again, or run in a whole copy of the project."
+        )
+    return names
+
+
+def foreign_in(folder: Path) -> list[str]:
+    """Sentences about the files of a folder that are not read, such as hidden ones and copies."""
+    found = sorted(path for path in folder.glob("*") if path.is_file())
+    hidden = [path for path in found if path.name.startswith(".") and path.suffix == ".yaml"]
+    others = [path for path in found if not path.name.startswith(".") and path.suffix != ".yaml"]
+    return [f"{_shown(path)} is hidden and not read." for path in hidden] + [
+        f"{_shown(path)} is not read; a file of settings ends in .yaml." for path in others
+    ]
 
 
 def _shown(path: Path) -> Path:
@@ -45,22 +83,31 @@ def read_file(path: Path) -> DictConfig:
     return content
 
 
-def read_folder(folder: Path) -> dict[str, Any]:
-    """The content of a folder's files by name; the one key of a file is its own name.
+def read_folder(folder: Path) -> ConfFolder:
+    """The files of a folder by name; the one key of a file is its own name.
+
+    A copy with the key of the original would otherwise silently replace it.
 
     Raises:
-        SettingsError: A file cannot be read, or its key is not its name. A copy with the key of the
-            original would otherwise silently replace it.
+        SettingsError: The folder is missing.
     """
-    found = {}
+    content, broken = {}, {}
     for name in names_in(folder):
-        path = folder / f"{name}.yaml"
-        content = read_file(path)
-        if [str(key) for key in content] != [name]:
-            holds = ", ".join(repr(str(key)) for key in content) or "nothing"
-            raise SettingsError(
-                f"{_shown(path)} must hold one key, its own name {name!r}, but holds {holds}; "
-                "rename the file or the key, or remove the file."
-            )
-        [found[name]] = content.values()
-    return found
+        try:
+            content[name] = _read_own(folder / f"{name}.yaml", name)
+        except SettingsError as error:
+            broken[name] = error
+    return ConfFolder(content, broken)
+
+
+def _read_own(path: Path, name: str) -> Any:
+    """What stands below the one key of a file, its own name."""
+    content = read_file(path)
+    if [str(key) for key in content] != [name]:
+        holds = ", ".join(repr(str(key)) for key in content) or "nothing"
+        raise SettingsError(
+            f"{_shown(path)} must hold one key, its own name {name!r}, but holds {holds}; "
+            "rename the file or the key, or remove the file."
+        )
+    [own] = content.values()
+    return own

@@ -1,12 +1,14 @@
 """The schema of all settings: nested groups, checked when they are made."""
 
 import dataclasses
+import math
+import re
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, ValidationInfo, field_validator, model_validator
 
 from components.data.sources.source import DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
@@ -26,7 +28,6 @@ from flows.configuration.sections import (
     SpecialSettings,
     TrainingSettings,
     TuningSettings,
-    selected,
     selection,
 )
 
@@ -41,10 +42,12 @@ def _penalties(chosen: Any) -> tuple[float, ...] | None:
         chosen = [round(0.1 * k, 1) for k in range(26)]  # thesis 6.3
     penalties = chosen if isinstance(chosen, list) else [chosen]
     numbers = all(isinstance(p, int | float) and not isinstance(p, bool) for p in penalties)
-    if not penalties or not numbers or len(set(penalties)) != len(penalties):
+    if not numbers or len(set(penalties)) != len(penalties) or not penalties:
         raise SettingsError(
             f"mopo_penalties={chosen} must be null, sweep or a list of different numbers."
         )
+    if not all(0 <= p < math.inf for p in penalties):
+        raise SettingsError(f"mopo_penalties={chosen} must hold finite numbers from 0.")
     return tuple(map(float, penalties))
 
 
@@ -52,6 +55,16 @@ def _folder(store: Any) -> Any:
     if store == "":
         raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
     return store
+
+
+def _sweep_name(name: Any) -> Any:
+    if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", str(name)):
+        shown = name if len(str(name)) <= 40 else f"{str(name)[:40]}..."
+        raise SettingsError(
+            f"sweep={shown!r} names a folder and must be at most 100 letters of a to z, digits, "
+            "'.', '_' and '-', of which the first is a letter or a digit."
+        )
+    return name
 
 
 def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
@@ -62,7 +75,7 @@ def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
     own = {k: v for k, v in fields.items() if k not in ("domain", *DEVIATIONS)}
     kind = source_kind(own)
     if isinstance(own.get("log"), str):  # a relative folder is one of the project, like conf/
-        own["log"] = str(CONF.parent / own["log"])
+        own["log"] = str(CONF.parent / Path(own["log"]).expanduser())
     known = {field.name for field in dataclasses.fields(kind)}
     sizes = {k: v for k, v in data.model_dump(exclude={"seed"}).items() if k in known}
     source: DatasetSource = build_config(kind, path, {"name": name, **own, **sizes})
@@ -73,12 +86,13 @@ class Settings(StrictModel):
     """A complete, checked configuration.
 
     Attributes:
-        dataset: Source of every dataset of conf/dataset by name, with sizes filled in.
+        dataset: Source of every chosen dataset by name, with sizes filled in.
         mopo_penalties: Penalties for each of which MOPO trains a policy; None for its own alone.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
         special: Settings on the datasets that change some for themselves, by dataset.
         model_overrides: By model, the first override on the command line of one of its settings.
+        notes: Sentences about files of conf/ that are not used.
     """
 
     profile_name: str
@@ -88,7 +102,7 @@ class Settings(StrictModel):
     algorithms: Annotated[tuple[str, ...], selection("algorithm", ALGORITHM_CONFIGS)]
     seeds: Seeds
     mopo_penalties: Annotated[tuple[float, ...] | None, BeforeValidator(_penalties)]
-    sweep: str | None = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    sweep: Annotated[str | None, BeforeValidator(_sweep_name)]
     training: TrainingSettings
     evaluation: EvaluationProtocol
     aggregation: AggregationSettings
@@ -103,6 +117,7 @@ class Settings(StrictModel):
     model: ModelConfigs
     special: dict[str, SpecialSettings]
     model_overrides: dict[str, str]
+    notes: tuple[str, ...]
 
     @field_validator("dataset")
     @classmethod
@@ -111,28 +126,20 @@ class Settings(StrictModel):
             return {}
         return {n: _source(n, fields, info.data["data"]) for n, fields in files.items()}
 
-    @field_validator("datasets", mode="before")
-    @classmethod
-    def _known_datasets(cls, chosen: Any, info: ValidationInfo) -> list[str]:
-        return selected("dataset", chosen, sorted(info.data.get("dataset", ())))
-
     @field_validator("special", mode="before")
     @classmethod
     def _own_settings(cls, special: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: build_config(SpecialSettings, name, own) for name, own in special.items()}
+        # Domains are checked first, so that their mistakes are not reported as a dataset's.
+        built = {place: build_config(SpecialSettings, place, own) for place, own in special.items()}
+        group = "dataset."
+        return {p.removeprefix(group): own for p, own in built.items() if p.startswith(group)}
 
     @model_validator(mode="after")
     def _check_penalties(self) -> "Settings":
-        for penalty in self.mopo_penalties or ():
-            if "mopo" not in self.algorithms:
-                raise SettingsError(
-                    "mopo_penalties is given, but mopo is not among the algorithms; add it."
-                )
-            try:
-                dataclasses.replace(self.algorithm["mopo"], penalty=penalty)
-            except ValueError as error:
-                chosen = list(self.mopo_penalties or ())
-                raise SettingsError(f"mopo_penalties={chosen}: {error}") from error
+        if self.mopo_penalties and "mopo" not in self.algorithms:
+            raise SettingsError(
+                "mopo_penalties is given, but mopo is not among the algorithms; add it."
+            )
         return self
 
     @model_validator(mode="after")

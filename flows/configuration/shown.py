@@ -17,7 +17,7 @@ _HEAD = """\
 def settings_yaml(settings: Settings) -> str:
     """Every setting, in the groups of the command line; datasets only if they are chosen."""
     shown = settings.model_dump(
-        mode="json", exclude={"special", "model_overrides", "dataset", "show_settings"}
+        mode="json", exclude={"special", "model_overrides", "notes", "dataset", "show_settings"}
     )
     shown["dataset"] = {name: _dataset(settings, name) for name in settings.datasets}
     return _HEAD + yaml.dump(shown, Dumper=_Dumper, sort_keys=False, width=100)

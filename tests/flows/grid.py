@@ -1,5 +1,6 @@
 """Plans computed group by group in this process, without Ray and MLflow."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,12 @@ from flows.pipeline.plan import Plan
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, run_group
+
+
+def overridden(base: Sequence[str], words: Sequence[str]) -> list[str]:
+    """Words of a command line, those of the base only where no other word gives their key."""
+    keys = {word.partition("=")[0] for word in words}
+    return [*(word for word in base if word.partition("=")[0] not in keys), *words]
 
 
 def finished(plan: Plan, root: Path, device: str = "cpu") -> ArtifactStore:

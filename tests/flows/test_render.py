@@ -164,7 +164,8 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
             ["run=x", "out=a.gif", "proximity=2"],
             "proximity='2': Input should be less than",
         ),
-        (["run=x", "out=a.gif", "steps"], "'steps' is not a setting; write key=value"),
+        (["run=x", "out=a.gif", "steps"], "'steps' is not an override; write key=value"),
+        (["run=x", "out=a.gif", "out=b.gif"], "out is given twice; give it once."),
         (["run=bc/hopper/seed9", "out=a.gif"], "holds no such finished run; give the id of a run"),
         (
             [f"run={DATA}", "out=a.gif"],

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
@@ -33,7 +33,12 @@ GROUPS = {
 
 
 def special(*later: dict) -> dict:
-    return special_settings([OmegaConf.create(layer) for layer in (GROUPS, *later)])
+    return by_dataset([OmegaConf.create(layer) for layer in (GROUPS, *later)])
+
+
+def by_dataset(layers: list[DictConfig]) -> dict:
+    found = special_settings(layers, GROUPS["dataset"])
+    return {p.removeprefix("dataset."): own for p, own in found.items() if p[:6] != "domain"}
 
 
 def test_settings_of_a_dataset_win_over_its_domain_s_and_these_over_general_ones() -> None:
@@ -47,7 +52,7 @@ def test_settings_of_a_dataset_win_over_its_domain_s_and_these_over_general_ones
 
 def test_a_dataset_without_a_domain_may_change_settings() -> None:
     own = {"dataset": {"mediocre-0.2": {"algorithm": {"bc": {"updates": 7}}}}}
-    for found in (special(own), special_settings([OmegaConf.merge(GROUPS, own)])):
+    for found in (special(own), by_dataset([OmegaConf.merge(GROUPS, own)])):
         assert found["mediocre-0.2"]["algorithm"]["bc"] == {"updates": 7}
         assert found["mediocre-0.2"]["algorithm"]["moose"] == GROUPS["algorithm"]["moose"]
         assert found["mediocre-0.2"]["model"] == GROUPS["model"]
@@ -71,7 +76,17 @@ def test_a_later_layer_wins_over_all_of_an_earlier_one() -> None:
 
 def test_a_domain_without_a_file_is_named() -> None:
     with pytest.raises(SettingsError, match=r"dataset\.robo\.domain='mars' .* valid ones are rob"):
-        special_settings([OmegaConf.create(GROUPS | {"dataset": {"robo": {"domain": "mars"}}})])
+        special_settings(
+            [OmegaConf.create(GROUPS | {"dataset": {"robo": {"domain": "mars"}}})], ["robo"]
+        )
+
+
+def test_domains_of_the_chosen_datasets_come_before_these() -> None:
+    layers = [OmegaConf.create(GROUPS), OmegaConf.create({})]
+    assert list(special_settings(layers, ["walker"])) == ["domain.robots", "dataset.walker"]
+    assert special_settings(layers, ["mediocre-0.2"]) == {}
+    found = special_settings(layers, ["walker"])
+    assert found["domain.robots"] == found["dataset.walker"]
 
 
 @pytest.mark.parametrize("place", ["domain", "dataset"])
@@ -134,10 +149,59 @@ def test_a_dataset_s_file_may_say_what_it_wants_otherwise(conf: Path) -> None:
 
 
 @pytest.mark.parametrize("file", ["dataset/bad-0.4", "domain/mujoco"])
-def test_a_copied_file_does_not_win_over_the_original(conf: Path, file: str) -> None:
-    shutil.copy(conf / f"{file}.yaml", conf / f"{file} copy.yaml")
-    with pytest.raises(SettingsError, match=f"{file} copy.yaml must hold one key, its own name"):
-        load_settings([])
+def test_a_copied_file_is_named_and_does_not_win_over_the_original(conf: Path, file: str) -> None:
+    plain = load_settings(["datasets=[bad-0.4,hopper]"])
+    copied = (conf / f"{file}.yaml").read_text(encoding="utf-8").replace("0", "1")
+    (conf / f"{file} copy.yaml").write_text(copied, encoding="utf-8")
+    composition.base_layers.cache_clear()
+    found = load_settings(["datasets=[bad-0.4,hopper]"])
+    [note] = found.notes
+    assert f"{file} copy.yaml must hold one key, its own name" in note
+    assert found == plain.model_copy(update={"notes": found.notes})
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("mine:\n\tcontroller: bad\n", r"mine\.yaml is no valid YAML in line 2"),
+        ("", r"dataset/mine\.yaml must hold one key, its own name 'mine', but holds nothing"),
+        ("mine:\n  controller: bda\n  epsilon: 0\n", "dataset.mine: unknown controller 'bda'"),
+        ("mine:\n  domain: mars\n", r"dataset\.mine\.domain='mars' has no file"),
+        ("mine:\n  domain: {}\n", r"dataset\.mine\.domain=\{\} has no file"),
+        ("mine:\n  domain: new\n", r"domain/new\.yaml must hold one key"),
+        (
+            "mine:\n  controller: bad\n  epsilon: 0\n  algorithm: {bc: {updates: 0}}\n",
+            r"dataset\.mine\.algorithm\.bc: updates",
+        ),
+        ("mine: 3\n", "dataset.mine=3 must be a group of keys"),
+    ],
+)
+def test_a_broken_dataset_matters_only_to_those_who_select_it(
+    conf: Path, content: str, says: str
+) -> None:
+    (conf / "dataset" / "mine.yaml").write_text(content, encoding="utf-8")
+    (conf / "domain" / "new.yaml").write_text("old: {}\n", encoding="utf-8")
+    assert load_settings(["datasets=[bad-0.4]"]).datasets == ("bad-0.4",)
+    for word in ("datasets=[mine]", "datasets=all"):
+        with pytest.raises(SettingsError, match=says) as caught:
+            load_settings([word])
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["größe", "1.0", "a b", "bad-0.4 (copy)"])
+def test_a_dataset_may_have_any_name_that_is_its_file_s(conf: Path, name: str) -> None:
+    written = f'"{name}":\n  controller: bad\n  epsilon: 0.1\n'
+    (conf / "dataset" / f"{name}.yaml").write_text(written, encoding="utf-8")
+    assert load_settings([f"datasets=[{name}]"]).dataset[name].epsilon == 0.1
+
+
+def test_a_profile_is_called_as_its_file_and_others_do_not_matter(conf: Path) -> None:
+    shutil.copy(conf / "profile" / "quick.yaml", conf / "profile" / "mine.yaml")
+    (conf / "profile" / "broken.yaml").write_text("a: [\n", encoding="utf-8")
+    with (conf / "profile" / "mine.yaml").open("a", encoding="utf-8") as file:
+        file.write("profile_name: quick\n")
+    assert load_settings(["profile=mine"]).profile_name == "mine"
+    assert load_settings(["profile=mine"]).datasets == load_settings(["profile=quick"]).datasets
 
 
 DEFAULTS = {

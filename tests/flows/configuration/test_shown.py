@@ -11,6 +11,8 @@ import pytest
 import yaml
 
 import flows
+from flows.__main__ import doors
+from flows.__main__ import main as list_doors
 from flows.command_line import main
 from flows.configuration.settings import ALIASES, load_settings
 from flows.configuration.shown import settings_yaml
@@ -91,3 +93,14 @@ def test_every_door_shows_its_settings_and_stops(
     assert ended.value.code == 0
     assert yaml.safe_load(capsys.readouterr().out)["profile_name"] == "smoke"
     assert "  show_settings=true " in door.HELP
+
+
+def test_the_package_names_its_doors(capsys: pytest.CaptureFixture[str]) -> None:
+    list_doors()
+    lines = capsys.readouterr().out.splitlines()
+    named = [line.split()[0] for line in lines[2:]]
+    assert named == list(doors())
+    own = {door.__name__.removeprefix("flows.") for door in doors_of_main()}
+    assert {*own, "render", "ui"} <= set(named)
+    assert not {"__main__", "command_line"} & set(named)
+    assert all(len(line.split()) > 2 for line in lines[2:])

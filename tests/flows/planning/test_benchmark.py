@@ -10,6 +10,7 @@ from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.planning import benchmark
 from flows.planning.benchmark import benchmark_plan, data_plan, model_choice, sweep_name
+from tests.flows.grid import overridden
 
 BASE = (
     "profile=smoke", "datasets=[mediocre-0.2,bad-0.4]", "algorithms=[lion,td3_bc]", "seeds=[0,1]",
@@ -25,7 +26,7 @@ EVERY_KIND = {
 
 @functools.cache  # reading settings takes half a second; a plan is never changed
 def plan(*words: str) -> Plan:
-    return benchmark_plan(load_settings([*BASE, *words]))
+    return benchmark_plan(load_settings(overridden(BASE, words)))
 
 
 def keys(made: Plan) -> dict[str, str]:

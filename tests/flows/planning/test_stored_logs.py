@@ -18,7 +18,7 @@ from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.plan import Plan
 from flows.planning.benchmark import benchmark_plan, data_plan
 from tests.components.synthetic import make_log
-from tests.flows.grid import finished
+from tests.flows.grid import finished, overridden
 
 pytestmark = pytest.mark.slow(1)
 
@@ -41,7 +41,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def chosen(*words: str) -> Settings:
-    return load_settings([*WORDS, *words])
+    return load_settings(overridden(WORDS, words))
 
 
 def replaced(project: Path, log: OfflineDataset) -> None:

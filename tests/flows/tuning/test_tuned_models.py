@@ -25,6 +25,7 @@ from flows.tuning.file_trials import FileTrials
 from flows.tuning.journal import open_journal
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.study import Study
+from tests.flows.grid import overridden
 from tests.flows.tuning.toys import run as search_toy
 from tests.flows.tuning.toys import study as toy_study
 
@@ -62,7 +63,8 @@ def words_of(home: Path) -> list[str]:
 
 
 def settings_of(home: Path, *words: str) -> Settings:
-    return load_settings([*words_of(home), "algorithms=[lion]", "models=tuned", *words])
+    usual = [*words_of(home), "algorithms=[lion]", "models=tuned"]
+    return load_settings(overridden(usual, words))
 
 
 def studies_of(home: Path) -> dict[str, Study]:
@@ -280,7 +282,7 @@ def test_a_wrong_file_is_named_with_its_remedy(
         "models=[behaviour_policy]', or use models=default."
     )
     assert "\n" not in message
-    words = [*words_of(home), "algorithms=[lion]", "models=tuned", folder]
+    words = overridden(words_of(home), ["algorithms=[lion]", "models=tuned", folder])
     assert door(full_benchmark, words, dict(ALIASES)) == 2
     assert message in capsys.readouterr().err
 
@@ -319,7 +321,7 @@ def test_a_setting_that_a_tuned_file_would_override_is_refused(home: Path) -> No
 def test_wrong_words_end_in_one_sentence(
     word: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [*WORDS, f"store={tmp_path}/left", word]
+    words = overridden(WORDS, [f"store={tmp_path}/left", word])
     assert door(tune_models, words, tune_models.ALIASES) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert re.search(says, line), line
