@@ -96,8 +96,8 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
 
     Raises:
         FileNotFoundError: no such dataset below the root.
-        ValueError: a dataset without this project's card, or whose content does not have the
-            digest on its card.
+        ValueError: a dataset without this project's card, whose content does not have the digest
+            on its card, or with a value that cannot be, see :mod:`components.data.validity`.
     """
     folder = Path(root) / dataset_id / "data"
     if not folder.is_dir():
@@ -138,7 +138,9 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
             f"the content of {dataset_id} does not have the digest on its card; it was changed "
             "after it was exported, so export it again."
         )
-    return OfflineDataset(card=card, **arrays)
+    imported = OfflineDataset(card=card, **arrays)
+    imported.check(dataset_id)
+    return imported
 
 
 def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
