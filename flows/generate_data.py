@@ -1,16 +1,17 @@
 """Datasets alone: ``python -m flows.generate_data datasets=[mediocre-0.2]``; all by default.
 
 Every dataset is also exported in Minari's HDF5 format below ``mlruns/minari``, so that other tools
-can load it: ``MINARI_DATASETS_PATH=mlruns/minari python -c "import minari; ..."``.
+can load it: ``MINARI_DATASETS_PATH=mlruns/minari python -c "import minari; ..."``. An export holds
+its own digest, so that the same command again changes nothing and mends what is damaged.
 """
 
 from pathlib import Path
 
-from components.core.files import read_json, write_json
 from components.data.dataset import OfflineDataset
-from components.data.sources.minari_exchange import export_minari, minari_id
+from components.data.sources.minari_exchange import export_minari, remove_leftovers
 from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
 from flows.configuration.settings import Settings
+from flows.pipeline.locks import locked
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import data_plan, sweep_name
@@ -18,7 +19,9 @@ from flows.planning.benchmark import data_plan, sweep_name
 HELP = f"""\
 usage: python -m flows.generate_data [KEY=VALUE ...]
 
-Generate datasets and export them for Minari, into mlruns/minari.
+Generate datasets and export them for Minari, into mlruns/minari. Minari's id follows from the
+name: mediocre-0.2 is proximity/mediocre-0p2-v0. An export of other content, such as of another
+data.seed, is replaced; the former command brings it back, since the store keeps both datasets.
 
   datasets=[a,b]                  names in conf/dataset, or all: every file there; the default
   data.seed=0                     of the generation; equal seeds give equal bytes
@@ -29,14 +32,11 @@ Generate datasets and export them for Minari, into mlruns/minari.
 
 
 def _export(dataset: OfflineDataset, root: Path) -> str:
-    """Export a dataset unless `digests.json` says that the same content has been exported."""
-    record = root / "digests.json"
-    known = read_json(record) or {}
-    name = minari_id(dataset.card.name)
-    if known.get(name) != dataset.card.digest or not (root / name).is_dir():
-        export_minari(dataset, root)
-        write_json(record, {**known, name: dataset.card.digest})
-    return name
+    """Export a dataset, one process at a time; what killed ones have left is removed."""
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root / ".export.lock"):
+        remove_leftovers(root)
+        return export_minari(dataset, root)
 
 
 def _run(settings: Settings) -> int:
@@ -46,7 +46,6 @@ def _run(settings: Settings) -> int:
     def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
         metrics: dict[str, list[tuple[int, float]]] = {}
         root = Path(settings.store) / "minari"
-        root.mkdir(parents=True, exist_ok=True)
         print(f"{'dataset':<14}{'mean return':>12}{'min':>9}{'max':>9}  folder and Minari id")
         for node in plan:
             if not store.complete(node.key):

@@ -8,23 +8,34 @@ from numpy.typing import NDArray
 
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.returns import RETURN_STEPS, log_returns
+from components.data.validity import check_arrays, check_card
 
 __all__ = ["assemble"]
 
 
 def assemble(
-    arrays: Mapping[str, NDArray[Any]], *, discount: float, **card_fields: Any
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    discount: float,
+    frame_features: tuple[str, ...],
+    action_features: tuple[str, ...],
+    **card_fields: Any,
 ) -> OfflineDataset:
     """Make a dataset with its card.
 
     Args:
         arrays: Those of :class:`OfflineDataset`, by name.
         discount: Gamma of the returns on the card.
+        frame_features: Names of the columns of the frames.
+        action_features: Names of the columns of the actions.
         card_fields: The fields of the card that do not follow from the arrays.
 
     Raises:
-        ValueError: No episode has a whole window of returns.
+        ValueError: An array is missing, or a value cannot be, see :mod:`components.data.validity`;
+            or no episode has a whole window of returns.
     """
+    source = f"the log {card_fields.get('name', '')}".rstrip()
+    check_arrays(arrays, frame_features, action_features, source)
     lengths, terminated = np.diff(arrays["episode_starts"]), arrays["terminated"]
     longest = int(lengths.max())
     # Rewards after a terminal state are 0, so windows that reach beyond one are complete.
@@ -42,7 +53,10 @@ def assemble(
         first_window_return_min=float(returns.first.min()),
         first_window_return_max=float(returns.first.max()),
         all_windows_return_mean=float(returns.every.mean()),
+        frame_features=frame_features,
+        action_features=action_features,
         digest=array_digest(arrays),
         **card_fields,
     )
+    check_card(card, source)
     return OfflineDataset(card=card, **arrays)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from components.core.cards import CardFormat
 from components.core.files import replacing, write_text
+from components.data.validity import check_card, check_log
 
 __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "code_version"]
 
@@ -235,6 +236,17 @@ class OfflineDataset:
         """The arrays by file name, in the order of the digest."""
         return {name: getattr(self, name) for name in _DTYPES}
 
+    def check(self, source: object) -> None:
+        """Refuse values that cannot be.
+
+        Args:
+            source: what the log is called in messages.
+
+        Raises:
+            ValueError: one sentence, see :mod:`components.data.validity`.
+        """
+        check_log(self.card, self.arrays(), source)
+
     def write(self, folder: Path) -> None:
         """Store the dataset; the folder appears complete or not at all.
 
@@ -242,8 +254,10 @@ class OfflineDataset:
             folder: a new or empty folder.
 
         Raises:
-            ValueError: the folder holds something already.
+            ValueError: the folder holds something already, or a value cannot be, see
+                :mod:`components.data.validity`.
         """
+        self.check(f"the log {self.card.name}")
         folder = Path(folder)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"{folder} is not empty; remove it or write the dataset elsewhere.")
@@ -260,12 +274,13 @@ class OfflineDataset:
 
         Args:
             folder: what `write` was given.
-            check: read all bytes once and compare their digest with the card's.
+            check: read all bytes, compare their digest with the card's, and check the values.
 
         Raises:
             FileNotFoundError: no dataset there, or one of its files is missing.
             ValueError: a file that cannot be read, has another type or shape than it should, or
-                does not have the digest on the card.
+                does not have the digest on the card; or a value that cannot be, see
+                :mod:`components.data.validity`.
         """
         folder = Path(folder)
         card = DatasetCard.load(folder / _CARD)
@@ -287,6 +302,10 @@ class OfflineDataset:
             )
         dataset = cls(card=card, **arrays)
         _check_shapes(dataset, folder)
+        if check:
+            dataset.check(f"the log in {folder}")
+        else:
+            check_card(card, f"the log in {folder}")
         return dataset
 
 

@@ -24,8 +24,12 @@ DRAWABLE: Final = drawable_systems()
 """Gymnasium ids of the systems that can be drawn."""
 _PICTURES: Final = 25  # wanted per simulated second; robots make 20, 25 or 125 steps
 
-_LIBRARIES = ("egl", "osmesa")
-_CHOICE = "MUJOCO_GL"
+_LIBRARIES: Final = {
+    "egl": ("EGL", "libegl1 and libgl1-mesa-dri"),
+    "osmesa": ("OSMesa", "libosmesa6"),
+}
+"""What the libraries that need no screen are called, and the packages that they come in."""
+_CHOICE: Final = "MUJOCO_GL"
 
 
 @dataclass(frozen=True)
@@ -51,18 +55,30 @@ def drawing_library() -> str:
     Raises:
         OSError: none works.
     """
-    named = os.environ.get(_CHOICE, "").lower()
+    named = os.environ.get(_CHOICE, "").strip().lower()
     for library in (named,) if named else _LIBRARIES:
         if library in _LIBRARIES and _works(library):
             return library
+    if named in _LIBRARIES:
+        library, packages = _LIBRARIES[named]
+        raise OSError(
+            f"{_CHOICE}={named} cannot draw here, since the library {library} is missing or "
+            f"broken; install it (on Debian: {packages}), or {_otherwise(named)}."
+        )
     if named:
         raise OSError(
-            f"{_CHOICE}={named} cannot draw without a screen here; unset it to use whatever works."
+            f"{_CHOICE}={named} cannot draw without a screen, as {' and '.join(_LIBRARIES)} do; "
+            f"{_otherwise(named)}."
         )
     raise OSError(
         "Nothing here can draw without a screen: neither EGL nor OSMesa works; install one of them "
-        "(on Debian: libegl1 and libgl1-mesa-dri, or libosmesa6)."
+        f"(on Debian: {', or '.join(packages for _, packages in _LIBRARIES.values())})."
     )
+
+
+def _otherwise(named: str) -> str:
+    others = (f"set it to {library}" for library in _LIBRARIES if library != named)
+    return f"unset it to use whatever works, or {' or '.join(others)}"
 
 
 def _works(library: str) -> bool:
@@ -152,4 +168,16 @@ def film(
 
 
 def _picture(robot: gym.Env[Any, Any]) -> NDArray[np.uint8]:
-    return np.asarray(robot.render(), dtype=np.uint8)
+    """What the camera sees; the first call makes the drawing library's context.
+
+    Raises:
+        OSError: the library fails.
+    """
+    try:
+        return np.asarray(robot.render(), dtype=np.uint8)
+    except Exception as error:  # MuJoCo, Gymnasium and PyOpenGL have errors of their own
+        library = os.environ[_CHOICE]
+        raise OSError(
+            f"{_CHOICE}={library} cannot draw such a picture here ({error}); try a smaller one, "
+            f"or {_otherwise(library)}."
+        ) from error

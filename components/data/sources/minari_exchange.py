@@ -12,39 +12,55 @@ says so), or export with `stacked=True`: the same transitions with whole histori
 the Industrial Benchmark), for tools that do not stack frames.
 
 Minari names cannot hold dots: mediocre-0.2 becomes proximity/mediocre-0p2-v0.
+
+An export carries its dataset's card, digest included, so it says by itself whether it is whole and
+what it is of: exporting again changes nothing, mends what is damaged, and replaces what is another
+dataset of the same name, such as one of another seed. The version in the id stays v0. A version
+that counted contents would depend on the order in which they were exported.
 """
 
+import contextlib
+import itertools
 import os
+import shutil
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import minari
 import numpy as np
+from minari import EpisodeData
 from minari.data_collector import EpisodeBuffer
+from numpy.typing import NDArray
 
 from components.core.files import temporary_name
 from components.data.dataset import DatasetCard, OfflineDataset, array_digest
 from components.data.history import gather_history
 from components.environments.systems import SYSTEMS  # its package registers them with Gymnasium
 
-__all__ = ["export_minari", "import_minari", "minari_id"]
+__all__ = ["ForeignDatasetError", "export_minari", "import_minari", "minari_id", "remove_leftovers"]
 
 _NAMESPACE = "proximity"
 _CARD_KEY = "proximity_dataset_card"
 _ROOT_VARIABLE = "MINARI_DATASETS_PATH"
+_SUFFIX = "-v0"
+
+
+class ForeignDatasetError(ValueError):
+    """A Minari dataset that another project has written."""
 
 
 def minari_id(name: str, *, stacked: bool = False) -> str:
     """Minari's id of a dataset, e.g. "proximity/mediocre-0p2-v0"."""
-    return f"{_NAMESPACE}/{name.replace('.', 'p')}{'-stacked' if stacked else ''}-v0"
+    return f"{_NAMESPACE}/{name.replace('.', 'p')}{'-stacked' if stacked else ''}{_SUFFIX}"
 
 
 def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False) -> str:
-    """Write a dataset below a Minari root; it appears complete or not at all.
+    """Make sure that a dataset lies below a Minari root; it appears complete or not at all.
+
+    An equal export stays as it is; another or a damaged one of the same id is replaced.
 
     Args:
         dataset: what to write.
@@ -55,14 +71,14 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
         The dataset's Minari id.
 
     Raises:
-        ValueError: a dataset of that id exists below the root.
+        ValueError: a dataset of that id exists below the root which is not this project's.
     """
     card = dataset.card
     dataset_id = minari_id(card.name, stacked=stacked)
     root = Path(root).resolve()
     target = root / dataset_id
-    if target.exists():
-        raise ValueError(f"{target} exists; remove it or export to another folder.")
+    if _is_exported(card, dataset_id, root):
+        return dataset_id
     target.parent.mkdir(parents=True, exist_ok=True)
     history = card.history if stacked else 1
     with temporary_name(root / target.name) as temporary:
@@ -81,10 +97,44 @@ def export_minari(dataset: OfflineDataset, root: Path, *, stacked: bool = False)
             )
         created.storage.update_metadata({_CARD_KEY: card.to_json()})
         for file in (temporary / _NAMESPACE).glob("*.json"):
-            if not (target.parent / file.name).exists():
-                os.replace(file, target.parent / file.name)
-        os.replace(temporary / dataset_id, target)
+            os.replace(file, target.parent / file.name)
+        _replace(temporary / dataset_id, target, temporary)
     return dataset_id
+
+
+def remove_leftovers(root: Path) -> None:
+    """Remove what killed exports have left below a Minari root; nobody may be exporting there."""
+    for left in Path(root).glob(f".*{_SUFFIX}-????????????"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _is_exported(card: DatasetCard, dataset_id: str, root: Path) -> bool:
+    """Whether the export of a dataset is there and whole.
+
+    Raises:
+        ValueError: another project's dataset has its place.
+    """
+    try:
+        return import_minari(dataset_id, root).card.to_json() == card.to_json()
+    except ForeignDatasetError:
+        raise
+    except (FileNotFoundError, ValueError):
+        return False
+
+
+def _replace(made: Path, target: Path, aside: Path) -> None:
+    """Rename a folder, which another one may have the name of; that one is moved into `aside`."""
+    for number in itertools.count():
+        try:
+            os.replace(made, target)
+        except OSError:
+            if not target.exists():
+                raise
+            # Another process may move it at the same moment: then there is nothing to move.
+            with contextlib.suppress(FileNotFoundError):
+                os.replace(target, aside / f"former{number}")
+        else:
+            return
 
 
 def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
@@ -96,23 +146,48 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
 
     Raises:
         FileNotFoundError: no such dataset below the root.
-        ValueError: a dataset without this project's card, or whose content does not have the
-            digest on its card.
+        ValueError: a dataset without this project's card, whose content does not have the digest
+            on its card, or with a value that cannot be, see :mod:`components.data.validity`.
     """
     folder = Path(root) / dataset_id / "data"
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no Minari dataset {dataset_id!r} below {root}.")
-    source = minari.MinariDataset(folder)
-    text = source.storage.metadata.get(_CARD_KEY)
+    try:
+        source = minari.MinariDataset(folder)
+        text, total_steps = source.storage.metadata.get(_CARD_KEY), source.total_steps
+        episodes = list(source.iterate_episodes())
+    except Exception as error:  # Minari and HDF5 raise whatever they stumble over
+        raise ValueError(f"{dataset_id} is damaged ({error}); export it again.") from error
     if not isinstance(text, str):
-        raise ValueError(
+        raise ForeignDatasetError(
             f"{dataset_id} was not exported by this project: it has no dataset card; "
-            "export it with export_minari."
+            "export to another folder."
         )
+    if not episodes:
+        raise ValueError(f"{dataset_id} is damaged (it has no episode); export it again.")
     card = DatasetCard.from_json(text, f"the card of {dataset_id}")
-    features = len(card.frame_features)
+    arrays = _arrays(dataset_id, episodes, len(card.frame_features))
+    if total_steps != len(arrays["rewards"]):
+        raise ValueError(
+            f"{dataset_id} has {len(arrays['rewards'])} transitions, but Minari's metadata say "
+            f"{total_steps}; export it again."
+        )
+    if array_digest(arrays) != card.digest:
+        raise ValueError(
+            f"the content of {dataset_id} does not have the digest on its card; it was changed "
+            "after it was exported, so export it again."
+        )
+    imported = OfflineDataset(card=card, **arrays)
+    imported.check(dataset_id)
+    return imported
+
+
+def _arrays(
+    dataset_id: str, episodes: Sequence[EpisodeData], features: int
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a log whose frames have so many features."""
     frames, actions, rewards, terminated, truncated, lengths = [], [], [], [], [], []
-    for episode in source.iterate_episodes():
+    for episode in episodes:
         observations = np.asarray(episode.observations)
         if len(observations) != len(episode.actions) + 1:
             raise ValueError(
@@ -125,7 +200,7 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
         terminated.append(episode.terminations)
         truncated.append(episode.truncations)
         lengths.append(len(episode.actions))
-    arrays: dict[str, Any] = {
+    return {
         "frames": np.concatenate(frames).astype(np.float32),
         "actions": np.concatenate(actions).astype(np.float32),
         "rewards": np.concatenate(rewards).astype(np.float32),
@@ -133,12 +208,6 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
         "truncated": np.concatenate(truncated).astype(np.bool_),
         "episode_starts": np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
     }
-    if array_digest(arrays) != card.digest:
-        raise ValueError(
-            f"the content of {dataset_id} does not have the digest on its card; it was changed "
-            "after it was exported, so export it again."
-        )
-    return OfflineDataset(card=card, **arrays)
 
 
 def _episodes(dataset: OfflineDataset, history: int) -> Iterator[EpisodeBuffer]:
@@ -209,7 +278,7 @@ def _description(card: DatasetCard, stacked: bool) -> str:
     )
 
 
-@contextmanager
+@contextlib.contextmanager
 def _minari_root(folder: Path) -> Iterator[None]:
     """Set Minari's root within the block; Minari reads it from the environment at every call."""
     before = os.environ.get(_ROOT_VARIABLE)

@@ -9,7 +9,10 @@ Every robot of :data:`.specifications.ROBOTS` has its class here, e.g. `HopperRo
 from functools import cache
 from typing import Any, ClassVar
 
-import mujoco
+from components.environments.mujoco.engine import mujoco
+
+# isort: split
+# Gymnasium's classes import MuJoCo, too, so the engine comes first.
 from gymnasium.envs.mujoco.mujoco_env import MujocoEnv
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.utils import EzPickle

@@ -9,9 +9,10 @@ Shapes: positions `[N, nq]`, velocities `[N, nv]`; `ids` `[M]` are the simulatio
 
 from typing import Protocol
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from components.environments.mujoco.engine import mujoco
 
 try:
     from mujoco import batch as mujoco_batch

@@ -229,7 +229,9 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
     """
     if physics not in PHYSICS:
         raise ValueError(f"physics {physics!r} does not exist; choose {' or '.join(PHYSICS)}.")
-    import mujoco  # slow, and not needed for reading the records above
+    from components.environments.mujoco.engine import (
+        mujoco,  # slow, and not needed for reading the records above
+    )
 
     spec = mujoco.MjSpec.from_file(str(_ASSETS / robot.models[physics]))
     if physics == "v3":
@@ -240,6 +242,6 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
 
 def simulator_version() -> str:
     """Name and version of the simulator, for the cards of what was made with it."""
-    import mujoco
+    from components.environments.mujoco.engine import mujoco
 
     return f"mujoco {mujoco.__version__}"

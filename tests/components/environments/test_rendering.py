@@ -1,5 +1,9 @@
 """Films of robots, really drawn where a library can; what is said where none can."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -81,7 +85,7 @@ def test_the_first_library_that_works_draws(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(rendering, "_works", lambda library: library == "osmesa")
     assert drawing_library() == "osmesa"
     monkeypatch.setenv("MUJOCO_GL", "EGL")
-    with pytest.raises(OSError, match="MUJOCO_GL=egl cannot draw without a screen here; unset it"):
+    with pytest.raises(OSError, match=r"MUJOCO_GL=egl cannot .* library EGL is missing or broken"):
         drawing_library()
     monkeypatch.delenv("MUJOCO_GL")
     monkeypatch.setattr(rendering, "_works", lambda library: False)
@@ -89,8 +93,65 @@ def test_the_first_library_that_works_draws(monkeypatch: pytest.MonkeyPatch) -> 
         drawing_library()
 
 
-def test_a_library_that_is_not_there_does_not_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    with pytest.raises(OSError, match="MUJOCO_GL=glfw cannot draw"):
-        drawing_library()  # it opens windows
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        (
+            "OSMESA",
+            "MUJOCO_GL=osmesa cannot draw here, since the library OSMesa is missing or broken; "
+            "install it (on Debian: libosmesa6), or unset it to use whatever works, or set it to "
+            "egl.",
+        ),
+        (
+            "junk",
+            "MUJOCO_GL=junk cannot draw without a screen, as egl and osmesa do; unset it to use "
+            "whatever works, or set it to egl or set it to osmesa.",
+        ),
+        ("glfw", "MUJOCO_GL=glfw cannot draw without a screen, as egl and osmesa do; unset it"),
+        ("wgl", "MUJOCO_GL=wgl cannot draw without a screen, as egl and osmesa do; unset it"),
+        ("off", "MUJOCO_GL=off cannot draw without a screen, as egl and osmesa do; unset it"),
+    ],
+)
+def test_a_named_library_that_does_not_work_is_named_with_the_variable(
+    value: str, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", value)
+    monkeypatch.setattr(rendering, "_works", lambda library: False)
+    with pytest.raises(OSError, match=r"^MUJOCO_GL=") as told:
+        drawing_library()
+    assert str(told.value).startswith(sentence)
+
+
+def test_a_library_that_fails_later_is_named_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(robot: object) -> None:
+        raise RuntimeError("Offscreen framebuffer is not complete")
+
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setattr(rendering, "_works", lambda library: True)
+    monkeypatch.setattr("gymnasium.envs.mujoco.mujoco_env.MujocoEnv.render", broken)
+    with pytest.raises(OSError, match=r"^MUJOCO_GL=egl cannot draw such a picture here \(Offscr"):
+        film(SWIMMER.id, {}, lambda frames: np.zeros(2), lambda picture: None, steps=3, size=32)
+
+
+def test_a_library_that_is_not_there_does_not_work() -> None:
     assert not rendering._works("no_such_library")
+
+
+IMPORT = """
+from components.environments.systems import make_batch
+import components.environments.mujoco.gymnasium_api, os
+print(make_batch("proximity/Swimmer-v0", 2).copies, os.environ["MUJOCO_GL"])
+"""
+
+
+@pytest.mark.parametrize("value", ["junk", "osmesa"])
+@pytest.mark.slow(2)
+def test_robots_run_whatever_the_variable_says(value: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT],
+        env={**os.environ, "MUJOCO_GL": value},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, f"2 {value}\n"), done.stderr

@@ -3,7 +3,9 @@
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import minari
 import numpy as np
@@ -11,7 +13,12 @@ import pytest
 
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
-from components.data.sources.minari_exchange import export_minari, import_minari, minari_id
+from components.data.sources.minari_exchange import (
+    export_minari,
+    import_minari,
+    minari_id,
+    remove_leftovers,
+)
 from components.data.sources.robots import RobotSpec
 from components.data.sources.source import generate
 from components.environments.mujoco.specifications import SWIMMER
@@ -150,9 +157,119 @@ def test_export_leaves_the_environment_variable_and_no_litter(
     export_minari(dataset, other)
     assert os.environ["MINARI_DATASETS_PATH"] == before
     assert [path.name for path in other.iterdir()] == ["proximity"]
-    with pytest.raises(ValueError, match="exists; remove it"):
-        export_minari(dataset, other)
+    export_minari(dataset, other)
     assert [path.name for path in other.iterdir()] == ["proximity"]
+
+
+def times(root: Path, name: str) -> dict[str, int]:
+    """When each file of an export was written."""
+    files = [path for path in (root / name).rglob("*") if path.is_file()]
+    return {path.name: path.stat().st_mtime_ns for path in files}
+
+
+def test_an_equal_export_stays_as_it_is(dataset: OfflineDataset, root: Path) -> None:
+    name = export_minari(dataset, root)
+    before = times(root, name)
+    assert export_minari(dataset, root) == name
+    assert times(root, name) == before
+
+
+def test_other_content_of_the_name_replaces_an_export(dataset: OfflineDataset, root: Path) -> None:
+    name = export_minari(dataset, root)
+    other = relabelled(dataset, rewards=dataset.rewards + 1.0)
+    assert export_minari(other, root) == name
+    assert import_minari(name, root).card == other.card
+    assert export_minari(dataset, root) == name
+    assert import_minari(name, root).card == dataset.card
+    assert sorted(path.name for path in (root / name).parent.iterdir()) == [
+        "mediocre-0p2-v0",
+        "namespace_metadata.json",
+    ]
+    assert [path.name for path in root.iterdir()] == ["proximity"]
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-700])
+
+
+def flip(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    place = content.find(np.float32(70.0).tobytes())
+    content[place] ^= 4
+    file.write_bytes(content)
+
+
+def recount(file: Path) -> None:
+    values = json.loads(file.read_text())
+    file.write_text(json.dumps({**values, "total_steps": 119}))
+
+
+@pytest.mark.parametrize(
+    ("file", "harm"),
+    [
+        ("main_data.hdf5", truncate),
+        ("main_data.hdf5", flip),
+        ("main_data.hdf5", Path.unlink),
+        ("metadata.json", truncate),
+        ("metadata.json", Path.unlink),
+        ("metadata.json", recount),
+    ],
+)
+def test_a_damaged_export_is_made_again(
+    file: str, harm: Callable[[Path], None], dataset: OfflineDataset, root: Path
+) -> None:
+    name = export_minari(dataset, root)
+    harm(root / name / "data" / file)
+    with pytest.raises(ValueError, match=rf"{name}.*export it again|the card of {name}"):
+        import_minari(name, root)
+    export_minari(dataset, root)
+    assert import_minari(name, root).card == dataset.card
+
+
+def test_a_dataset_of_another_project_is_not_replaced(dataset: OfflineDataset, root: Path) -> None:
+    name = export_minari(dataset, root)
+    metadata = root / name / "data" / "metadata.json"
+    values = json.loads(metadata.read_text())
+    del values["proximity_dataset_card"]
+    metadata.write_text(json.dumps(values))
+    with pytest.raises(ValueError, match="was not exported by this project"):
+        export_minari(dataset, root)
+    assert json.loads(metadata.read_text()) == values
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_two_exports_at_once_both_succeed(
+    same: bool, dataset: OfflineDataset, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second runs from start to end while the first one is writing."""
+    other = relabelled(dataset, rewards=dataset.rewards + 1.0)
+    if not same:
+        card = dataclasses.replace(other.card, name="bad-0.4")
+        other = dataclasses.replace(other, card=card)
+    create = minari.create_dataset_from_buffers
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        monkeypatch.setattr(minari, "create_dataset_from_buffers", create)
+        export_minari(other, root)
+        return create(*arguments, **options)
+
+    monkeypatch.setattr(minari, "create_dataset_from_buffers", slow)
+    name = export_minari(dataset, root)
+    assert import_minari(name, root).card == dataset.card
+    if not same:
+        assert import_minari(minari_id("bad-0.4"), root).card == other.card
+    assert [path.name for path in root.iterdir()] == ["proximity"]
+
+
+def test_leftovers_of_killed_exports_are_removed(
+    dataset: OfflineDataset, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = export_minari(dataset, root)
+    (root / name).rename(root / ".mediocre-0p2-v0-0123456789ab")  # moved aside, then killed
+    remove_leftovers(root)
+    assert [path.name for path in root.iterdir()] == ["proximity"]
+    export_minari(dataset, root)
+    assert import_minari(name, root).card == dataset.card
 
 
 def test_import_refuses_what_it_cannot_trust(dataset: OfflineDataset, root: Path) -> None:

@@ -15,7 +15,7 @@ from components.data.sources.robot_collection import Exploration, collect_episod
 from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import HOPPER, ROBOTS, SWIMMER, WALKER2D, Robot
-from tests.components.data.sources.toy_robot import LIMIT, ToyRobot, toy_expert
+from tests.components.data.sources.toy_robot import FEATURES, LIMIT, ToyRobot, toy_expert
 
 SPEC = RobotSpec("toy", "hopper", transitions=3000, steps=120)
 
@@ -26,6 +26,9 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "hopper").mkdir()
     toy_expert().save(tmp_path / "hopper")
     monkeypatch.setattr(robots, "SHIPPED", tmp_path)
+    shown = {"frame_features": FEATURES, "action_features": ToyRobot.action_features}
+    hopper = dataclasses.replace(HOPPER, health=None, **shown)
+    monkeypatch.setattr(robots, "ROBOTS", ROBOTS | {"hopper": hopper})
     monkeypatch.setattr(robots, "Robots", lambda robot, copies, *_: ToyRobot(copies))
     return tmp_path / "hopper"
 
@@ -176,7 +179,7 @@ def test_card_says_what_the_log_is(dataset: OfflineDataset) -> None:
     assert card.steps == lengths(dataset).max()
     assert (card.history, card.discount, card.return_steps) == (1, 0.99, 100)
     assert card.simulator.startswith("mujoco 4") or card.simulator.startswith("mujoco 3")
-    assert card.dynamics == HOPPER.dynamics
+    assert card.dynamics == robots.ROBOTS["hopper"].dynamics
     assert DatasetCard.from_json(card.to_json()) == card
 
 
