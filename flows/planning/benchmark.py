@@ -31,12 +31,14 @@ __all__ = [
 
 COMPONENTS = {
     "data_generation": 2,
-    "model_fitting": 5,
     "policy_training": 2,
     "evaluation": 2,
     "aggregation": 2,
 }
-"""The components and the versions of their code; raise one when its results change."""
+"""The components and the versions of their code; raise one when its results change.
+
+Model fitting has a version per kind of model, in :data:`components.models.MODELS`.
+"""
 
 
 def jsonable(value: Any) -> Any:
@@ -127,7 +129,7 @@ def model_node(
         + (f"/{for_algorithm}" if for_algorithm else "")
         + ("" if shared else f"/seed{seed}"),
         task="flows.tasks.model_fitting:fit_model",
-        version=COMPONENTS["model_fitting"],
+        version=MODELS[name].version,
         config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
