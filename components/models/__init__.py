@@ -76,14 +76,14 @@ MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
             lambda config: 0.5 * config.epochs,
-            version=5,
+            version=6,
         ),
         "gaussian_behaviour": ModelKind(
             GaussianBehaviourConfig,
             fit_gaussian_behaviour,
             GaussianBehaviour.load,
             lambda config: 0.5 * config.epochs,
-            version=5,
+            version=6,
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
