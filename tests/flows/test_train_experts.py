@@ -109,11 +109,12 @@ def test_documented_defaults_are_the_code_s() -> None:
     assert experts.training == online.ExpertConfig()
     assert experts.robots == ("swimmer", "hopper", "walker2d")
     assert (experts.seeds, experts.physics, experts.episodes) == ((0, 1, 2, 3), "v3", 100)
+    assert experts.discount == RobotSpec("swimmer", "swimmer").discount
     assert not experts.install
 
 
 def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) -> None:
-    plan = plan_of("experts.training.discount=0.9")
+    plan = plan_of("experts.training.discount=0.9", "experts.discount=0.95")
     *seeds, choice = plan
     run(seeds, tmp_path)
     reached = []
@@ -131,7 +132,7 @@ def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) ->
     for (one, _), (two, _) in zip(own.layers, expert.policy.layers, strict=True):
         assert one.equal(two)
     assert (card.training["steps"], card.episodes, card.return_steps) == (60, 2, 20)
-    assert (card.training["discount"], card.discount) == (0.9, 0.99)
+    assert (card.training["discount"], card.discount) == (0.9, 0.95)
     assert card.environment == "proximity/Swimmer-v0"
     assert card.return_mean != card.candidates[str(card.seed)]
     metrics = json.loads((tmp_path / choice.key / "metrics.json").read_text())
