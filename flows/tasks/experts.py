@@ -4,6 +4,7 @@ This is data generation: both steps run the real system, and nothing but the dat
 chosen expert reaches a learner.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -67,7 +68,14 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             seed: read_input(job, f"seed{seed}", _read_reached, _REACHED)
             for seed in config["seeds"]
         }
-        best = max(reached, key=lambda seed: reached[seed]["return"])
+        # An undefined return would neither be less nor greater than any other.
+        finite = [seed for seed in reached if math.isfinite(reached[seed]["return"])]
+        if not finite:
+            raise ValueError(
+                f"No seed of {config['robot']} has reached a finite return: there is no expert to "
+                "choose; change experts.training or the seeds."
+            )
+        best = max(finite, key=lambda seed: reached[seed]["return"])
         policy = read_input(job, f"seed{best}", Policy.load, "policy")
         training = config["training"]
         return_steps = min(RETURN_STEPS, training["horizon"])

@@ -139,6 +139,24 @@ def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) ->
     assert metrics["return_mean"] == card.return_mean
 
 
+def test_a_seed_without_a_finite_return_is_not_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    *seeds, choice = plan_of()
+    run(seeds, tmp_path)
+
+    def reach(*returns: float) -> None:
+        found = [{"return": value, "step": 30} for value in returns]
+        monkeypatch.setattr("flows.tasks.experts._read_reached", lambda path: found.pop(0))
+
+    reach(float("nan"), -5.0)
+    run([choice], tmp_path)
+    assert Expert.load(tmp_path / choice.key / "expert").card.seed == 1
+    reach(float("nan"), float("-inf"))
+    with pytest.raises(ValueError, match="No seed of swimmer has reached a finite return"):
+        load_task(choice.task)(jobs_of([choice], tmp_path / "again"), TaskContext(tmp_path))
+
+
 @pytest.mark.slow(2)
 def test_a_killed_training_is_continued_in_its_work_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
