@@ -28,6 +28,7 @@ robot together, for hours. To continue a training that was stopped, give the sam
   physics=v3|v5                   of the robots; v3, as in the thesis, is the default
   install=true                    put the experts where dataset generation looks for them
   experts.episodes=100            episodes that evaluate the chosen expert
+  experts.discount=0.99           of the returns on its card
   experts.training.KEY=VALUE      a setting of the training, e.g. experts.training.exploration=0.2
 {COMMON_HELP}"""
 

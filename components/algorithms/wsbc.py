@@ -17,6 +17,7 @@ with the constants of thesis 2.6. The text leaves open and this module decides:
 
 - particle 0 begins as the behaviour policy itself, the others uniformly in the box; the first
   iteration evaluates them where they begin;
+- an undefined return is the worst of all; a lane ends only if those of all its particles are;
 - no velocity exceeds half the width of the box; by the returns of five seeds on three datasets
   (README), this swarm seems to come as far in 10 to 20 iterations as the thesis's in its 100;
 - start states are drawn once per lane, as LION's from the first 30 steps of trajectories, near
@@ -222,7 +223,7 @@ class Learner(StackedLearner):
         return {
             "policy/virtual_return": self._swarm.best_fitness.amax(dim=1),
             "policy/weight_distance": (self._swarm.best - self._centre).abs().mean(dim=1),
-            "swarm/virtual_return": fitness.mean(dim=1),
+            "swarm/virtual_return": _defined_mean(fitness),
             "swarm/improved_share": better.float().mean(dim=1),
         }
 
@@ -231,6 +232,15 @@ class Learner(StackedLearner):
     def policy(self, card: PolicyCard) -> Policy:
         """The best policies so far, one per lane; at first the behaviour policies."""
         return Policy.of_networks(card, {"actor": self._best_layers()}, self._behaviour.frames)
+
+
+def _defined_mean(fitness: Tensor) -> Tensor:
+    """Mean ``[L]`` of the defined ones of ``fitness [L, N]``; undefined if all are.
+
+    A lane whose curves are undefined ends. A particle that leads where the ensemble fails has lost,
+    and the others search on.
+    """
+    return fitness.where(fitness.isfinite(), torch.nan).nanmean(dim=1)
 
 
 def _cost(config: Config) -> float:

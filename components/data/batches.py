@@ -53,7 +53,7 @@ class LaneData:
         datasets: One dataset per lane; equal digests are stored once.
         device: Where to put the tensors.
         epsilon: Added to the feature deviations, see :meth:`Normaliser.fit`.
-        scaling: One for the frames of all lanes, instead of their datasets' own moments.
+        scaling: Makes the scaling of a dataset's frames; by default of the moments of all of them.
 
     Raises:
         ValueError: If the lanes' datasets differ in frame, action or history width.
@@ -64,7 +64,7 @@ class LaneData:
         datasets: Sequence[OfflineDataset],
         device: torch.device,
         epsilon: float = 0.0,
-        scaling: Normaliser | None = None,
+        scaling: Callable[[OfflineDataset], Normaliser] | None = None,
     ) -> None:
         shapes = {(d.frames.shape[1], d.actions.shape[1], d.card.history) for d in datasets}
         if len(shapes) != 1:
@@ -76,7 +76,8 @@ class LaneData:
         self.device = device
         self.datasets = list(datasets)
         distinct = list({d.card.digest: d for d in datasets}.values())
-        scalers = {d.card.digest: scaling or Normaliser.fit(d.frames, epsilon) for d in distinct}
+        scale = scaling or (lambda d: Normaliser.fit(d.frames, epsilon))
+        scalers = {d.card.digest: scale(d) for d in distinct}
         self.frame_scaling = Normaliser.stack([scalers[d.card.digest] for d in datasets]).to(device)
         self.counts = [d.transitions for d in datasets]  # transitions per lane
 

@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from components.core.normaliser import Normaliser
 from components.data.dataset import OfflineDataset
 
 __all__ = ["EpisodeSplit", "split_episodes"]
@@ -18,6 +21,17 @@ class EpisodeSplit:
     def trained_transitions(self, dataset: OfflineDataset) -> int:
         """Number of transitions in the training episodes; they are the dataset's first ones."""
         return int(dataset.episode_starts[self.train.stop])
+
+    def trained_frames(self, dataset: OfflineDataset) -> int:
+        """Number of frames in the training episodes, one more than transitions in each."""
+        return self.trained_transitions(dataset) + self.train.stop
+
+    def scaling(self, dataset: OfflineDataset) -> Normaliser:
+        """Scaling by the frames of the training episodes.
+
+        Models are chosen by held-out losses, so the held-out frames must not scale what they read.
+        """
+        return Normaliser.fit(np.asarray(dataset.frames[: self.trained_frames(dataset)]))
 
 
 def split_episodes(dataset: OfflineDataset, fraction: float = 0.1) -> EpisodeSplit:

@@ -4,6 +4,7 @@ Robots are registered by their specifications (:data:`.mujoco.specifications.ROB
 by a record here.
 """
 
+import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -13,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.environments.industrial.benchmark import DYNAMICS, IndustrialBenchmark
-from components.environments.mujoco.specifications import ROBOTS, Robot
+from components.environments.mujoco.specifications import ROBOTS, Robot, simulator_version
 
 __all__ = [
     "INDUSTRIAL_BENCHMARK",
     "SYSTEMS",
     "BatchEnvironment",
     "System",
+    "check_simulator",
     "drawable_systems",
     "make_batch",
 ]
@@ -67,6 +69,8 @@ class System:
         entry_point: "package.module:Class" of a single one, for Gymnasium.
         vector_entry_point: the same of Gymnasium's vectorised interface, if it has one.
         drawable: whether it can be drawn.
+        simulator: tells name and version of the installed simulator that decides its numbers, e.g.
+            "mujoco 3.5.0"; empty for a system that is part of this package.
     """
 
     name: str
@@ -77,6 +81,7 @@ class System:
     entry_point: str
     vector_entry_point: str | None = None
     drawable: bool = False
+    simulator: Callable[[], str] = lambda: ""
 
 
 def _industrial(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
@@ -111,6 +116,7 @@ def _robot_system(robot: Robot) -> System:
         dynamics=robot.dynamics,
         entry_point=f"components.environments.mujoco.gymnasium_api:{robot.class_name}",
         drawable=True,
+        simulator=simulator_version,
     )
 
 
@@ -123,6 +129,25 @@ SYSTEMS: Final[Mapping[str, System]] = MappingProxyType(
 def drawable_systems() -> tuple[str, ...]:
     """Gymnasium ids of the systems that can be drawn."""
     return tuple(system.id for system in SYSTEMS.values() if system.drawable)
+
+
+def check_simulator(environment: str, planned: str) -> None:
+    """Refuse to simulate a system by another simulator than the planned one.
+
+    Args:
+        environment: Gymnasium id of the system.
+        planned: what its record told where the work was planned.
+
+    Raises:
+        ValueError: another version is installed here.
+    """
+    found = SYSTEMS[environment].simulator()
+    if found != planned:
+        raise ValueError(
+            f"{environment} was planned with {planned or 'no simulator'}, but {platform.node()} "
+            f"has {found or 'none'}; install the same on all computers, as numbers of different "
+            "versions differ."
+        )
 
 
 def make_batch(

@@ -46,12 +46,16 @@ class ModelKind(Generic[C]):
             trajectories, resumably.
         load: Reads the folder that the fitted model's ``save`` filled.
         cost: Core-seconds of a fit with given settings, measured roughly on a computer of 2026.
+        version: Of its code, part of node keys; to be raised when a change can change its fits. It
+            is 5 where nothing has changed since all kinds had one version together, so that fits
+            stored then keep their keys. A new kind begins with 1.
     """
 
     config: type[C]
     fit: Callable[..., Fit[Any]]
     load: Callable[[Path], Any]
     cost: Callable[[C], float]
+    version: int
 
 
 def _recurrent_cost(config: RecurrentEnsembleConfig) -> float:
@@ -72,33 +76,37 @@ MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
             lambda config: 0.5 * config.epochs,
+            version=6,
         ),
         "gaussian_behaviour": ModelKind(
             GaussianBehaviourConfig,
             fit_gaussian_behaviour,
             GaussianBehaviour.load,
             lambda config: 0.5 * config.epochs,
+            version=6,
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
             fit_recurrent_ensemble,
             RecurrentEnsemble.load,
             _recurrent_cost,
+            version=5,
         ),
         "deterministic_ensemble": ModelKind(
-            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
+            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
         ),
         "gaussian_ensemble": ModelKind(
-            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
+            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
         ),
         "residual_ensemble": ModelKind(
-            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost
+            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
         ),
         "action_vae": ModelKind(
             action_vae.ActionVAEConfig,
             action_vae.fit_action_vae,
             action_vae.ActionVAE.load,
             lambda config: 7.5 * config.epochs,
+            version=5,
         ),
     }
 )

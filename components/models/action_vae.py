@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -184,8 +183,8 @@ def fit_action_vae(
     """
     split = split_episodes(dataset, config.holdout)
     trained_on = split.trained_transitions(dataset)
-    scaling = Normaliser.fit(np.asarray(dataset.frames[: trained_on + split.train.stop]))
-    data = LaneData([dataset.with_history(config.history)], device, scaling=scaling)
+    scaling = split.scaling(dataset)
+    data = LaneData([dataset.with_history(config.history)], device, scaling=lambda _: scaling)
     network = ConditionalVAE([key], data.observation_width, data.action_width, config.hidden).to(
         device
     )

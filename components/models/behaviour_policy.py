@@ -73,7 +73,9 @@ def fit_behaviour_policies(
     Returns:
         Per lane a policy and its held-out mean squared error; the learning curves.
     """
-    data = LaneData(datasets, device)
+    data = LaneData(
+        datasets, device, scaling=lambda d: split_episodes(d, config.holdout).scaling(d)
+    )
     trained_on = [split_episodes(d, config.holdout).trained_transitions(d) for d in datasets]
     shortest = min(count - trained for count, trained in zip(data.counts, trained_on, strict=True))
     held_out = torch.tensor(trained_on, device=device)[:, None] + torch.arange(

@@ -151,8 +151,9 @@ def fit_gaussian_behaviour(
         actions, clipped as in training; among the metrics the mean standard deviation in their
         states.
     """
-    data = LaneData([dataset], device)
-    trained = split_episodes(dataset, config.holdout).trained_transitions(dataset)
+    split = split_episodes(dataset, config.holdout)
+    trained = split.trained_transitions(dataset)
+    data = LaneData([dataset], device, scaling=split.scaling)
     held_out = torch.arange(trained, dataset.transitions, device=device)[None]
     sizes = (data.observation_width, *config.hidden, data.action_width)
     network = TanhGaussian([key], "weights", sizes, LOG_STD_RANGE, squash=True).to(device)

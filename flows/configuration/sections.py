@@ -122,6 +122,7 @@ class ExpertsSettings(StrictModel):
     seeds: Seeds
     physics: Literal["v3", "v5"]
     episodes: int = Field(ge=1)
+    discount: float = Field(gt=0, le=1)
     install: bool
     training: ExpertConfig
 

@@ -8,6 +8,7 @@ from typing import Any
 from components.algorithms import ALGORITHMS
 from components.data.dynamics import DynamicsSpecification
 from components.data.sources.stored_log import StoredLog
+from components.environments.systems import SYSTEMS
 from components.models import MODELS
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
@@ -25,18 +26,21 @@ __all__ = [
     "jsonable",
     "model_choice",
     "model_node",
+    "simulated_on",
     "sweep_name",
     "variants",
 ]
 
 COMPONENTS = {
     "data_generation": 2,
-    "model_fitting": 5,
     "policy_training": 2,
     "evaluation": 2,
     "aggregation": 2,
 }
-"""The components and the versions of their code; raise one when its results change."""
+"""The components and the versions of their code; raise one when its results change.
+
+Model fitting has a version per kind of model, in :data:`components.models.MODELS`.
+"""
 
 
 def jsonable(value: Any) -> Any:
@@ -44,6 +48,12 @@ def jsonable(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(k): jsonable(v) for k, v in value.items()}
     return [jsonable(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def simulated_on(environment: str) -> dict[str, str]:
+    """Name and version of a system's simulator, for configurations; empty if it has none."""
+    simulator = SYSTEMS[environment].simulator()
+    return {"simulator": simulator} if simulator else {}
 
 
 @dataclass(frozen=True)
@@ -93,7 +103,8 @@ def _data_node(settings: Settings, name: str) -> Node:
         task="flows.tasks.data_generation:generate_dataset",
         version=COMPONENTS["data_generation"],
         config={"spec": jsonable(source.identity), "seed": 0 if stored else settings.data.seed}
-        | ({"ingredients": made_with} if made_with else {}),
+        | ({"ingredients": made_with} if made_with else {})
+        | ({} if stored else simulated_on(source.environment)),
         folders={"log": str(source.folder)} if stored else {},
         tags={"dataset": name},
         cost=data_cost(source),
@@ -127,7 +138,7 @@ def model_node(
         + (f"/{for_algorithm}" if for_algorithm else "")
         + ("" if shared else f"/seed{seed}"),
         task="flows.tasks.model_fitting:fit_model",
-        version=COMPONENTS["model_fitting"],
+        version=MODELS[name].version,
         config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
@@ -179,7 +190,8 @@ def _evaluation_node(settings: Settings, variant: Variant, policy: Node, behavio
             "parameters": jsonable(spec.environment_parameters),
             "evaluation": protocol.record(spec.discount),
             "stream": [dataset, algorithm, policy.config["seed"]],
-        },
+        }
+        | simulated_on(spec.environment),
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
         lanes=f"evaluate/{variant.label}/{dataset}",

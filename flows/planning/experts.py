@@ -2,9 +2,10 @@
 
 from dataclasses import asdict
 
+from components.environments.mujoco.specifications import ROBOTS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan
-from flows.planning.benchmark import jsonable
+from flows.planning.benchmark import jsonable, simulated_on
 
 __all__ = ["expert_plan"]
 
@@ -23,6 +24,7 @@ def expert_plan(settings: Settings) -> Plan:
             "robot": robot,
             "physics": experts.physics,
             "training": jsonable(asdict(experts.training)),
+            **simulated_on(ROBOTS[robot].id),
         }
         trained = {
             f"seed{seed}": Node(
@@ -43,7 +45,12 @@ def expert_plan(settings: Settings) -> Plan:
                 name=f"expert/{robot}",
                 task="flows.tasks.experts:choose_expert",
                 version=COMPONENTS["expert_choice"],
-                config={**shared, "seeds": sorted(experts.seeds), "episodes": experts.episodes},
+                config={
+                    **shared,
+                    "seeds": sorted(experts.seeds),
+                    "episodes": experts.episodes,
+                    "discount": experts.discount,
+                },
                 inputs=trained,
                 tags={"robot": robot},
                 cost=1e-4 * experts.episodes * experts.training.horizon,

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from components.data.sources.source import generate, source_kind
+from components.environments.systems import check_simulator
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import note_dataset, write_numbers
 
@@ -21,6 +22,8 @@ def generate_dataset(jobs: Sequence[Job], context: TaskContext) -> None:
             raise ValueError(
                 f"The files of {source.name} have changed meanwhile; give the same command again."
             )
+        if source.environment and "log" not in job.inputs:
+            check_simulator(source.environment, job.config.get("simulator", ""))
         dataset = generate(source, job.config["seed"], context.threads)
         dataset.write(job.out / "dataset")
         card = dataset.card

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from components.core.random_streams import lane_key
+from components.environments.systems import check_simulator
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import evaluate_policies
 from components.policies.policy import Policy
@@ -18,6 +19,7 @@ __all__ = ["evaluate"]
 def evaluate(jobs: Sequence[Job], context: TaskContext) -> None:
     """Real-environment evaluation: `returns.npz` holds every snapshot's returns."""
     first = jobs[0].config
+    check_simulator(first["environment"], first.get("simulator", ""))
     protocol, discount = EvaluationProtocol.of_record(first["evaluation"])
     policies = [read_input(job, "policy", Policy.load, "policy") for job in jobs]
     results = evaluate_policies(

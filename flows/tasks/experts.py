@@ -4,6 +4,7 @@ This is data generation: both steps run the real system, and nothing but the dat
 chosen expert reaches a learner.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,9 +16,9 @@ from components.core.files import read_json
 from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
-from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import ROBOTS, simulator_version
+from components.environments.mujoco.specifications import ROBOTS
+from components.environments.systems import check_simulator
 from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
@@ -32,6 +33,7 @@ _REACHED = "reached.json"
 
 
 def _robots(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
+    check_simulator(ROBOTS[config["robot"]].id, config["simulator"])
     return Robots(ROBOTS[config["robot"]], copies, config["physics"], threads)
 
 
@@ -66,32 +68,38 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             seed: read_input(job, f"seed{seed}", _read_reached, _REACHED)
             for seed in config["seeds"]
         }
-        best = max(reached, key=lambda seed: reached[seed]["return"])
+        # An undefined return would neither be less nor greater than any other.
+        finite = [seed for seed in reached if math.isfinite(reached[seed]["return"])]
+        if not finite:
+            raise ValueError(
+                f"No seed of {config['robot']} has reached a finite return: there is no expert to "
+                "choose; change experts.training or the seeds."
+            )
+        best = max(finite, key=lambda seed: reached[seed]["return"])
         policy = read_input(job, f"seed{best}", Policy.load, "policy")
         training = config["training"]
         return_steps = min(RETURN_STEPS, training["horizon"])
-        discount = RobotSpec.discount
         key = lane_key("expert", config["robot"], "verdict")
         returns = evaluate_episodes(
             lambda frames, policy=policy: act_in_double(policy, frames),
             _robots(config, config["episodes"], context.threads),
             [lane_generator(key, episode) for episode in range(config["episodes"])],
             horizon=training["horizon"],
-            discount=discount,
+            discount=config["discount"],
             return_steps=return_steps,
         )
         card = ExpertCard(
             robot=config["robot"],
             environment=ROBOTS[config["robot"]].id,
             physics=config["physics"],
-            simulator=simulator_version(),
+            simulator=config["simulator"],
             seed=best,
             candidates={str(seed): found["return"] for seed, found in reached.items()},
             step=reached[best]["step"],
             training=training,
             episodes=config["episodes"],
             return_steps=return_steps,
-            discount=discount,
+            discount=config["discount"],
             **asdict(returns),
         )
         (job.out / "expert").mkdir()

@@ -109,11 +109,12 @@ def test_documented_defaults_are_the_code_s() -> None:
     assert experts.training == online.ExpertConfig()
     assert experts.robots == ("swimmer", "hopper", "walker2d")
     assert (experts.seeds, experts.physics, experts.episodes) == ((0, 1, 2, 3), "v3", 100)
+    assert experts.discount == RobotSpec("swimmer", "swimmer").discount
     assert not experts.install
 
 
 def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) -> None:
-    plan = plan_of("experts.training.discount=0.9")
+    plan = plan_of("experts.training.discount=0.9", "experts.discount=0.95")
     *seeds, choice = plan
     run(seeds, tmp_path)
     reached = []
@@ -131,11 +132,29 @@ def test_the_seed_with_the_best_evaluation_is_evaluated_again(tmp_path: Path) ->
     for (one, _), (two, _) in zip(own.layers, expert.policy.layers, strict=True):
         assert one.equal(two)
     assert (card.training["steps"], card.episodes, card.return_steps) == (60, 2, 20)
-    assert (card.training["discount"], card.discount) == (0.9, 0.99)
+    assert (card.training["discount"], card.discount) == (0.9, 0.95)
     assert card.environment == "proximity/Swimmer-v0"
     assert card.return_mean != card.candidates[str(card.seed)]
     metrics = json.loads((tmp_path / choice.key / "metrics.json").read_text())
     assert metrics["return_mean"] == card.return_mean
+
+
+def test_a_seed_without_a_finite_return_is_not_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    *seeds, choice = plan_of()
+    run(seeds, tmp_path)
+
+    def reach(*returns: float) -> None:
+        found = [{"return": value, "step": 30} for value in returns]
+        monkeypatch.setattr("flows.tasks.experts._read_reached", lambda path: found.pop(0))
+
+    reach(float("nan"), -5.0)
+    run([choice], tmp_path)
+    assert Expert.load(tmp_path / choice.key / "expert").card.seed == 1
+    reach(float("nan"), float("-inf"))
+    with pytest.raises(ValueError, match="No seed of swimmer has reached a finite return"):
+        load_task(choice.task)(jobs_of([choice], tmp_path / "again"), TaskContext(tmp_path))
 
 
 @pytest.mark.slow(2)

@@ -82,12 +82,12 @@ class Swarm(nn.Module):
     def remember(self, fitness: Tensor) -> Tensor:
         """Update the best positions by the ``fitness [L, N]`` of the present ones (2.53).
 
-        Undefined fitness never counts as better.
+        Undefined and infinite fitness count as the worst, so they never are better.
 
         Returns:
             Whether a particle's present fitness is its best so far, ``[L, N]``.
         """
-        better = fitness > self.best_fitness
+        better = fitness.isfinite() & (fitness > self.best_fitness)
         self.best_fitness.copy_(torch.where(better, fitness, self.best_fitness))
         kept = torch.where(better[..., None], self.positions, self.best_positions)
         self.best_positions.copy_(kept)

@@ -128,6 +128,9 @@ class PessimisticMDP:
     ) -> tuple[Trajectories, Halted]:
         """Let policies act for T steps; halted trajectories are continued, but not used.
 
+        An undefined prediction is unknown and halts a trajectory. Zeros replace what the models
+        have left undefined: a weight of 0 does not, as 0 times an undefined number is undefined.
+
         Args:
             begin: ``[L, B, H * F]`` observations at the start.
             past: ``[L, B, G, M]`` model frames up to there, as logged.
@@ -135,8 +138,8 @@ class PessimisticMDP:
         """
         frames, rewards, disagreements = [], [], []
         for step in self._environment.unroll(begin, past, act, len(self._followed), self._followed):
-            frames.append(step.frames)
-            rewards.append(step.rewards)
+            frames.append(_defined(step.frames))
+            rewards.append(_defined(step.rewards))
             disagreements.append(self._detector(step.prediction))
         ended = with_halt(
             torch.stack(rewards),
@@ -146,3 +149,7 @@ class PessimisticMDP:
             self._discount,
         )
         return Trajectories(begin, frames), ended
+
+
+def _defined(x: Tensor) -> Tensor:
+    return torch.where(x.isfinite(), x, 0.0)

@@ -11,6 +11,7 @@ version of these environments; `physics="v3"` restores it on today's MuJoCo:
 `physics="v5"` is Gymnasium's v5 untouched.
 """
 
+import importlib.metadata
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -241,7 +242,8 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
 
 
 def simulator_version() -> str:
-    """Name and version of the simulator, for the cards of what was made with it."""
-    from components.environments.mujoco.engine import mujoco
+    """Name and version of the installed simulator, for keys and cards of what is made with it.
 
-    return f"mujoco {mujoco.__version__}"
+    It is that of the installed package, so that nothing has to be imported.
+    """
+    return f"mujoco {importlib.metadata.version('mujoco')}"

@@ -62,7 +62,7 @@ class _Transitions:
         self.trained = split.trained_transitions(whole)
         self.held_out = torch.arange(self.trained, whole.transitions, device=device)
         logged = split.trained_transitions(dataset)
-        seen = np.array(model_frames(dataset, dynamics)[: logged + split.train.stop])
+        seen = np.array(model_frames(dataset, dynamics)[: split.trained_frames(dataset)])
         self.scaling = Normaliser.fit(seen)
         targets = self.scaling.apply(torch.from_numpy(seen))[:, known:]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)
@@ -79,7 +79,7 @@ class _Transitions:
         lanes = len(config.forms) * config.members
         of_frames = slice(*dynamics.observed)
         scaling = Normaliser(self.scaling.mean[of_frames], self.scaling.scale[of_frames])
-        self._data = LaneData([whole] * lanes, device, scaling=scaling)
+        self._data = LaneData([whole] * lanes, device, scaling=lambda _: scaling)
         table = self.scaling.apply(torch.from_numpy(np.array(model_frames(whole, dynamics))))
         self._known, self._learned = (
             part.contiguous().to(device) for part in table.split([known, len(shown)], dim=1)

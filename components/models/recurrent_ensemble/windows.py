@@ -61,7 +61,7 @@ class TrainingWindows:
         self.outputs, self.networks = len(dynamics.learned) // groups, groups * config.members
         split = split_episodes(dataset, config.holdout)
         logged = split.trained_transitions(dataset)
-        seen = np.array(model_frames(dataset, dynamics)[: logged + split.train.stop])
+        seen = np.array(model_frames(dataset, dynamics)[: split.trained_frames(dataset)])
         self.normaliser = Normaliser.fit(seen)
         targets = self.normaliser.apply(torch.from_numpy(seen))[:, self.known :]
         self.low, self.high = targets.amin(dim=0), targets.amax(dim=0)

@@ -1,5 +1,7 @@
 """MOReL's roll-outs, step and baseline against plain loops, and worlds whose answers are known."""
 
+import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ import torch
 
 from components.algorithms import morel
 from components.algorithms.parts.halting import live_samples
+from components.models.transition.model_environment import RolloutStep
 from tests.components.algorithms.morel_worlds import (
     HALT_RETURN,
     HORIZON,
@@ -212,6 +215,31 @@ def test_everything_or_nothing_halts(beta: float, share: float, steps: float, kn
             assert metrics["actor/virtual_return"].tolist() == pytest.approx([HALT_RETURN] * 2)
         else:
             assert metrics["actor/virtual_return"].min() > 0.4 * HALT_RETURN
+
+
+def test_a_prediction_that_is_undefined_halts_its_trajectory_and_no_lane(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From the second step on, the models predict nothing for half of the trajectories."""
+    made = learner("morel", [LOG] * 2, [0, 1], beta=1e6, cloning=0)
+    unroll = made._mdp._environment.unroll
+
+    def failing(*given: Any) -> Iterator[RolloutStep]:
+        for number, step in enumerate(unroll(*given)):
+            lost = (torch.arange(step.rewards.shape[1]) % 2 == 0) & (number > 0)
+            values = step.prediction.values.masked_fill(lost, torch.nan)
+            yield dataclasses.replace(
+                step,
+                prediction=dataclasses.replace(step.prediction, values=values),
+                rewards=step.rewards.masked_fill(lost, torch.nan),
+                frames=step.frames.masked_fill(lost[:, None], torch.nan),
+            )
+
+    monkeypatch.setattr(made._mdp._environment, "unroll", failing)
+    for metrics in run(made, 3):
+        assert metrics["actor/halted_share"].tolist() == [0.5] * 2
+        assert all(bool(metric.isfinite().all()) for metric in metrics.values())
+    assert bool(made.policy(policy_card()).finite.all())
 
 
 @pytest.mark.slow(2)

@@ -198,6 +198,29 @@ def test_iterations_stay_in_the_box_and_never_lose_the_best() -> None:
     assert not any(tensor.requires_grad for tensor in made.state_dict().values())
 
 
+def test_a_particle_without_a_defined_return_is_the_worst(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lane 0 searches on with its other particles; lane 1, where none is left, ends."""
+    made, alone = (learner("wsbc", [LOG] * 2, [0, 1], particles=5, box=0.05) for _ in range(2))
+    fitness = made._fitness
+
+    def failing() -> torch.Tensor:
+        found = fitness()
+        found[0, 1], found[0, 3], found[1] = torch.nan, torch.inf, torch.nan
+        return found
+
+    monkeypatch.setattr(made, "_fitness", failing)
+    for step in range(4):
+        before = fitness()[0, [0, 2, 4]]
+        metrics = made.update(step)
+        assert all(bool(metric[0].isfinite()) for metric in metrics.values())
+        assert float(metrics["swarm/virtual_return"][0]) == pytest.approx(float(before.mean()))
+        assert metrics["swarm/virtual_return"][1].isnan()
+    assert made._swarm.best_fitness[0].isfinite().tolist() == [True, False, True, False, True]
+    # Where all are defined nothing changes, not even a bit.
+    defined = alone._fitness()
+    assert torch.equal(alone.update(0)["swarm/virtual_return"], defined.mean(dim=1))
+
+
 @pytest.mark.parametrize("at_once", [1, 13, 40, 10_000])
 def test_chunks_do_not_change_the_result(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [LOG, OTHER]

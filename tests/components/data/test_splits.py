@@ -1,5 +1,6 @@
 """Held-out episodes."""
 
+import numpy as np
 import pytest
 
 from components.data.dataset import OfflineDataset
@@ -23,6 +24,9 @@ def test_last_episodes_are_held_out(
     assert split.train == range(boundary)
     assert split.held_out == range(boundary, 10)
     assert split.trained_transitions(dataset) == 30 * boundary
+    assert split.trained_frames(dataset) == 31 * boundary
+    mean = dataset.frames[: 31 * boundary].mean(axis=0, dtype=np.float64)
+    np.testing.assert_allclose(split.scaling(dataset).mean, mean, rtol=1e-6)  # float32
 
 
 def test_impossible_splits_are_refused(dataset: OfflineDataset) -> None:

@@ -7,12 +7,19 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import mujoco
 import pytest
 
 from components.environments.mujoco import gymnasium_api
 from components.environments.mujoco.specifications import HOPPER, ROBOTS, Robot
 from components.environments.rendering import DRAWABLE
-from components.environments.systems import INDUSTRIAL_BENCHMARK, SYSTEMS, make_batch
+from components.environments.systems import (
+    INDUSTRIAL_BENCHMARK,
+    SYSTEMS,
+    System,
+    check_simulator,
+    make_batch,
+)
 
 
 def test_every_robot_is_a_system() -> None:
@@ -47,6 +54,16 @@ def test_single_robots_have_classes_that_can_be_copied(robot: Robot) -> None:
     for again in (copy.deepcopy(single), pickle.loads(pickle.dumps(single))):
         assert type(again) is type(single)
         assert again._physics == "v5"
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+def test_systems_tell_their_simulator(system: System) -> None:
+    found = system.simulator()
+    own = system is INDUSTRIAL_BENCHMARK
+    assert found == ("" if own else f"mujoco {mujoco.__version__}")
+    check_simulator(system.id, found)
+    with pytest.raises(ValueError, match=rf"{system.id} was planned with mujoco 2\.0, but .* has"):
+        check_simulator(system.id, "mujoco 2.0")
 
 
 def test_names_that_are_none_are_refused() -> None:

@@ -41,10 +41,15 @@ def test_held_out_trajectories_are_never_trained_on() -> None:
     log = make_log(episodes=5, steps=40)
     changed = make_log(episodes=5, steps=40)
     changed.actions[4 * 40 :] *= -1.0  # holdout 0.1 of five trajectories: the last one
+    changed.frames[4 * 41 :] += 7.0  # frames are scaled by those that are trained on
     config = BehaviourPolicyConfig(hidden=(8,), epochs=1, batch=16)
     results = [fit_behaviour_policies([d], config, keys(0), CPU) for d in (log, changed)]
     for (ours, _), (theirs, _) in zip(*(r[0][0].layers for r in results), strict=True):
         assert torch.equal(ours, theirs)
+    scaling = [policy.frames for [policy], _, _ in results]
+    assert torch.equal(scaling[0].mean, scaling[1].mean)
+    assert torch.equal(scaling[0].scale, scaling[1].scale)
+    np.testing.assert_allclose(scaling[0].mean[0], log.frames[: 4 * 41].mean(axis=0), rtol=1e-5)
     assert results[0][1] != results[1][1]
 
 

@@ -117,6 +117,8 @@ def test_only_what_is_better_is_remembered() -> None:
     assert not made.remember(nothing).any()
     assert made.best_fitness.isneginf().all()
     made.remember(torch.tensor([[1.0, 2.0, torch.nan]], dtype=torch.float64))
+    beyond = torch.tensor([[torch.inf, -torch.inf, torch.inf]], dtype=torch.float64)
+    assert not made.remember(beyond).any(), "infinity is no fitness either"
     made.positions += 10.0
     assert not made.remember(torch.tensor([[1.0, torch.nan, torch.nan]], dtype=torch.float64)).any()
     assert made.best_positions.flatten().tolist() == [0.0, 1.0, 2.0], "equal is not better"
