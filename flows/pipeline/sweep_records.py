@@ -1,8 +1,8 @@
 """The sweeps of a store and their nodes: STORE/sweeps/NAME.json.
 
-Work that no sweep can continue and artifacts that no sweep reads are found by these records. A sweep
-writes its record when it begins, so that what it makes belongs to it from the first moment; with
-another plan under the same name the record is replaced.
+Work that no sweep can continue and artifacts that no sweep reads are found by these records. A
+sweep writes its record when it begins, so that what it makes belongs to it from the first moment;
+with another plan under the same name the record is replaced.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from pathlib import Path
 from components.core.cards import CardFormat
 from components.core.files import write_json
 
-__all__ = ["SweepRecord", "read_sweep", "sweep_files"]
+__all__ = ["SweepRecord", "known_nodes", "read_sweep", "sweep_files"]
 
 _VERSION = ("format_version", 1)
 
@@ -58,6 +58,14 @@ def read_sweep(path: Path) -> SweepRecord:
         ValueError: The file is damaged or of another version.
     """
     return _FORMAT.read(path)
+
+
+def known_nodes(root: Path, name: str) -> dict[str, str]:
+    """The nodes on the record of a sweep; none if there is no readable one."""
+    try:
+        return dict(read_sweep(_folder(root) / f"{name}.json").nodes)
+    except (FileNotFoundError, ValueError):
+        return {}
 
 
 def sweep_files(root: Path) -> list[Path]:

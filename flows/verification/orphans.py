@@ -34,7 +34,7 @@ class RecordedRun:
         id: Of the run.
         key: Of the node; empty for the run of a sweep or trial.
         name: Of the run.
-        finished: Whether it says that the node is finished.
+        finished: Whether it is the run of a finished node, and not deleted.
     """
 
     id: str
@@ -91,9 +91,7 @@ def find_orphans(
     ]
 
 
-def _used(
-    store: ArtifactStore, names: Mapping[str, str], runs: Iterable[RecordedRun]
-) -> set[str]:
+def _used(store: ArtifactStore, names: Mapping[str, str], runs: Iterable[RecordedRun]) -> set[str]:
     """Keys that something names, and of all that these were made from."""
     open_keys = set(names) | {run.key for run in runs if run.key}
     for report in store.root.glob("reports/*/report.json"):
@@ -149,14 +147,15 @@ def _runs(
 def _leftovers(store: ArtifactStore, runs: Sequence[RecordedRun] | None) -> Iterator[Orphan]:
     for folder in _entries(store.root / "damaged"):
         yield Orphan("leftover", "damaged artifact that was set aside", (folder,))
-    for folder in _entries(store.work):
-        if folder.name.startswith(".gone-"):
-            yield Orphan("leftover", "work that was being removed", (folder,))
+    for place in (store.nodes, store.work, store.root / "artifacts"):
+        for folder in _entries(place):
+            if folder.name.startswith(".gone-"):
+                yield Orphan("leftover", "what was being removed", (folder,))
     if runs is None:
         return
     known = {run.id for run in runs}
     for folder in _entries(store.root / "artifacts"):
-        if folder.name not in known:
+        if folder.name not in known and not folder.name.startswith("."):
             yield Orphan("leftover", f"files of the run {folder.name}, which is gone", (folder,))
 
 
