@@ -20,6 +20,7 @@ from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
@@ -200,6 +201,7 @@ def run_sweep(
             "seeds": ",".join(map(str, settings.seeds)),
         }
     tracker.open(name, tags, params, plan)
+    SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}

@@ -17,8 +17,8 @@ from components.environments.rendering import DRAWABLE, film, pictures_per_secon
 from components.policies.policy import Policy
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StrictModel, build_config
-from flows.pipeline.errors import TrackingError
 from flows.configuration.overrides import split_word
+from flows.pipeline.errors import TrackingError
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_errors import refusal

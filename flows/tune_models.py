@@ -11,9 +11,10 @@ from pathlib import Path
 
 from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
 from flows.configuration.settings import Settings, SettingsError
-from flows.pipeline.plan import Plan, digest
+from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord, known_nodes
 from flows.planning.benchmark import check_model, data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
 from flows.planning.studies import study_specifications
@@ -108,6 +109,12 @@ def _run(settings: Settings) -> int:
     files: list[Path] = []
     comparisons: dict[str, str] = {}
     studies: list[Study] = []
+    begun = known_nodes(store.root, name)
+
+    def record(node: Node) -> None:
+        begun[node.key] = node.name
+        SweepRecord(name, command, begun).save(store.root)
+
     try:
         studies = [Study(specification, journal) for specification in found]
 
@@ -125,6 +132,7 @@ def _run(settings: Settings) -> int:
             make_executor(settings),
             console.note,
             finished,
+            record,
         )
         status = outcome.status
     finally:

@@ -60,7 +60,7 @@ def mend_last_line(path: Path) -> None:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """All lines; none if there is no file.
+    """All lines; none if there is no file. A last line that is still being written is left out.
 
     Raises:
         ValueError: A line is no JSON object; the message names the file and the line.
@@ -69,10 +69,13 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         return []
     lines = []
     # Split as written: other signs that end a line may stand in a text.
-    for number, text in enumerate(path.read_bytes().split(b"\n"), start=1):
+    *whole, rest = path.read_bytes().split(b"\n")
+    for number, text in enumerate([*whole, rest], start=1):
         if not text:
             continue
         value = _object(text)
+        if value is None and number > len(whole) and text.startswith(b"{"):
+            continue
         if value is None:
             raise ValueError(f"line {number} of {path} is no JSON object")
         lines.append(value)

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from components.core.files import write_json
+from components.core.sealed import content_digest, read_record, seal
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
@@ -131,6 +131,10 @@ def _compute(
     work = store.open_work(keys)
     store.fresh_out(work, keys)
     jobs = [_job(store, work, node) for node in nodes]
+    read = {
+        key: content_digest(read_record(store.path(key)))
+        for key in {key for node in nodes for key in node["inputs"].values()}
+    }
     context = TaskContext(
         work=work.path,
         members=list(work.members),
@@ -170,7 +174,8 @@ def _compute(
         elif not any(job.out.iterdir()):
             result.failed[job.key] = f"The task {call.task} wrote nothing for {job.name}."
         else:
-            _describe(job.out, node, usage, node["cost"] / whole)
+            content = {role: read[key] for role, key in node["inputs"].items()}
+            _describe(job.out, node, content, usage, node["cost"] / whole)
             ready.append(job.key)
     store.mark_ready(work, ready)
     store.publish_ready(work)
@@ -188,14 +193,21 @@ def _job(store: ArtifactStore, work: Work, node: Mapping[str, Any]) -> Job:
     return Job(node["key"], node["name"], dict(node["config"]), inputs, work.out(node["key"]))
 
 
-def _describe(out: Path, node: Mapping[str, Any], usage: Mapping[str, Any], share: float) -> None:
+def _describe(
+    out: Path,
+    node: Mapping[str, Any],
+    content: Mapping[str, str | None],
+    usage: Mapping[str, Any],
+    share: float,
+) -> None:
+    """Write the record of an artifact; `content` digests what was read, by role."""
     wall = usage["finished"] - usage["started"]
     described = {name: node[name] for name in ("key", "name", "component", "version", "config")}
     described |= {name: node[name] for name in ("inputs", "tags", "cost")}
-    described |= dict(usage)
+    described |= {"content": dict(content)} | dict(usage)
     described |= {"wall_seconds": wall, "share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
-    write_json(out / "node.json", described)
+    seal(out, described)
 
 
 def _reason(error: BaseException, store: ArtifactStore) -> str:

@@ -73,6 +73,7 @@ def search(
     executor: Executor,
     notify: Callable[[str], None],
     finished: Callable[[Study], None] = lambda study: None,
+    begun: Callable[[Node], None] = lambda node: None,
 ) -> SearchOutcome:
     """Bring every study to a number of trials.
 
@@ -84,6 +85,7 @@ def search(
         executor: Computes the fits.
         notify: Takes one-line messages.
         finished: Called with every study that has all its trials, if one of them is complete.
+        begun: Called with the node of every trial that is asked for.
 
     Returns:
         How the search ended. Nothing is raised for failed trials.
@@ -98,7 +100,7 @@ def search(
                 raise PipelineError(
                     f"Another process searches {study.name}: wait for it, or stop it."
                 )
-        return _Search(studies, trials, store, tracker, executor, notify, finished).run()
+        return _Search(studies, trials, store, tracker, executor, notify, finished, begun).run()
 
 
 def _group(key: str) -> str:
@@ -118,6 +120,7 @@ class _Search:
         executor: Executor,
         notify: Callable[[str], None],
         finished: Callable[[Study], None],
+        begun: Callable[[Node], None],
     ) -> None:
         self.studies = studies
         self.trials = trials
@@ -125,6 +128,7 @@ class _Search:
         self.executor = executor
         self.notify = notify
         self.finished = finished
+        self.begun = begun
         self.outcome = SearchOutcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
@@ -201,6 +205,7 @@ class _Search:
             self._failed(study, trial, str(error))
             return
         trial.set_user_attr("key", node.key)
+        self.begun(node)
         group = _group(node.key)
         if self.store.complete(node.key):
             self._evaluated(study, trial, node)

@@ -110,11 +110,16 @@ class MlflowExperiment:
         """Tells this store from others that use the same MLflow."""
         return hashlib.sha256(f"{socket.gethostname()} {self.root}".encode()).hexdigest()[:16]
 
-    def search(self, text: str) -> Iterator[Any]:
-        """The runs that match a filter in MLflow's language, the newest first."""
-        token = None
+    def search(self, text: str, *, deleted: bool = False) -> Iterator[Any]:
+        """The runs that match a filter in MLflow's language, the newest first.
+
+        Args:
+            text: The filter.
+            deleted: Whether runs that were deleted, and can still be restored, are among them.
+        """
+        token, view = None, 3 if deleted else 1  # mlflow.entities.ViewType.ALL, ACTIVE_ONLY
         while True:
-            page = self.client.search_runs([self.id], text, max_results=_MANY, page_token=token)
+            page = self.client.search_runs([self.id], text, view, _MANY, page_token=token)
             yield from page
             token = page.token
             if not token:

@@ -1,0 +1,136 @@
+"""Sealed folders: a record beside the files holds their digests, and one of itself.
+
+The record is `node.json`, a JSON object. Its `files` describe all other files of the folder, its
+`digest` is the SHA-256 of the canonical JSON of everything else in the record. A record with
+neither comes from an older version: what lies beside it is accepted and cannot be checked.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from components.core.files import write_json
+from components.core.integrity import (
+    DamagedFileError,
+    MissingFileError,
+    check_files,
+    describe_files,
+)
+
+__all__ = [
+    "RECORD",
+    "REMEDY",
+    "check_folder",
+    "content_digest",
+    "is_sealed",
+    "read_record",
+    "read_sealed_json",
+    "seal",
+]
+
+RECORD: Final = "node.json"
+REMEDY: Final = "give the command of its sweep again, which makes it anew"
+_FILES: Final = "files"
+_DIGEST: Final = "digest"
+
+
+def seal(folder: Path, values: Mapping[str, Any]) -> None:
+    """Write the record of a folder whose other files are complete.
+
+    Args:
+        folder: The folder.
+        values: Content of the record, JSON; digests of an earlier record are replaced.
+    """
+    kept = {name: value for name, value in values.items() if name not in (_FILES, _DIGEST)}
+    # As it will be read: keys become text, tuples become lists.
+    record = json.loads(json.dumps(kept)) | {_FILES: describe_files(folder, leave_out=(RECORD,))}
+    write_json(folder / RECORD, record | {_DIGEST: _digest(record)})
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """The record of a folder.
+
+    Raises:
+        MissingFileError: There is none.
+        DamagedFileError: It is no JSON object or not what was written.
+    """
+    path = folder / RECORD
+    try:
+        record = json.loads(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingFileError(path, "is missing", REMEDY) from error
+    except OSError as error:
+        raise DamagedFileError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+    except ValueError as error:
+        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+    if not isinstance(record, dict):
+        raise DamagedFileError(path, "is damaged (it is no JSON object)", REMEDY)
+    if _FILES in record or _DIGEST in record:
+        written = record.get(_DIGEST)
+        rest = {name: value for name, value in record.items() if name != _DIGEST}
+        if _FILES not in record or written != _digest(rest):
+            raise DamagedFileError(path, "is damaged (its content is not what was written)", REMEDY)
+    return record
+
+
+def is_sealed(record: Mapping[str, Any]) -> bool:
+    """Whether a record holds digests."""
+    return _FILES in record
+
+
+def content_digest(record: Mapping[str, Any]) -> str | None:
+    """A digest of all files that a record describes; None for a record of an older version."""
+    return _digest(record[_FILES]) if is_sealed(record) else None
+
+
+def check_folder(
+    folder: Path,
+    names: Collection[str] | None = None,
+    *,
+    large: bool = True,
+    fresh: bool = False,
+) -> dict[str, Any]:
+    """Check a folder's record and files.
+
+    Args:
+        folder: The folder.
+        names: The files to check, relative to the folder; None: all.
+        large: Whether large files are hashed, too; otherwise only their sizes are compared.
+        fresh: Whether large files are hashed even if this process has done so before.
+
+    Returns:
+        The record.
+
+    Raises:
+        DamagedFileError: The record or a file is missing or damaged.
+    """
+    record = read_record(folder)
+    check_files(folder, record.get(_FILES, {}), names, large=large, fresh=fresh, remedy=REMEDY)
+    return record
+
+
+def read_sealed_json(folder: Path, name: str) -> Any:
+    """The value in a JSON file of a sealed folder.
+
+    Args:
+        folder: The folder.
+        name: Of the file, relative to the folder.
+
+    Raises:
+        DamagedFileError: The record or the file is missing or damaged.
+    """
+    check_folder(folder, (name,))
+    path = folder / name
+    try:
+        return json.loads(path.read_bytes())
+    except FileNotFoundError as error:
+        raise MissingFileError(path, "is missing", REMEDY) from error
+    except ValueError as error:
+        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+
+
+def _digest(value: Any) -> str:
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

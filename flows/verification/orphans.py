@@ -1,0 +1,185 @@
+"""Orphans: what lies in a store and belongs to nothing in it.
+
+    work        begun and not finished, of no recorded sweep or untouched for long
+    artifact    finished, but of no sweep, report, run or event, and read by nothing that is
+    run         in MLflow, but its artifact is gone and no recorded sweep will make it again
+    leftover    temporary files of killed writers, damaged artifacts set aside, files without a run
+
+An artifact and the files of its MLflow run are second names of the same files, so removing one of
+them frees nothing: sizes count what removing all orphans together gives back.
+"""
+
+import os
+import time
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from components.core.files import read_json
+from flows.pipeline.json_lines import read_lines
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord
+
+__all__ = ["Orphan", "RecordedRun", "find_orphans", "freed_bytes"]
+
+_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """The run of a node in MLflow.
+
+    Attributes:
+        id: Of the run.
+        key: Of the node; empty for the run of a sweep or trial.
+        name: Of the run.
+        finished: Whether it is the run of a finished node, and not deleted.
+    """
+
+    id: str
+    key: str
+    name: str
+    finished: bool
+
+
+@dataclass(frozen=True)
+class Orphan:
+    """Something that belongs to nothing.
+
+    Attributes:
+        kind: "work", "artifact", "run" or "leftover".
+        what: One line for people.
+        paths: The files and folders to remove.
+        keys: The nodes whose locks must be held meanwhile.
+        run: Id of the run to delete; empty if there is none.
+    """
+
+    kind: str
+    what: str
+    paths: tuple[Path, ...] = ()
+    keys: frozenset[str] = frozenset()
+    run: str = ""
+
+
+def find_orphans(
+    store: ArtifactStore,
+    sweeps: Sequence[SweepRecord],
+    runs: Sequence[RecordedRun] | None,
+    days: float,
+) -> list[Orphan]:
+    """All orphans of a store, by kind.
+
+    Args:
+        store: The store.
+        sweeps: Its recorded sweeps.
+        runs: All runs in its MLflow database, of whatever kind; None if there is none here.
+        days: Work that nobody has touched for so long is an orphan, whichever sweep began it.
+
+    Raises:
+        ValueError: A tracker's file is damaged, so that it is not known what is needed.
+    """
+    names: dict[str, str] = {}
+    for sweep in sweeps:
+        names |= sweep.nodes
+    used = _used(store, names, runs or ())
+    return [
+        *_work(store, names, days),
+        *_artifacts(store, used),
+        *_runs(store, names, runs or ()),
+        *_leftovers(store, runs),
+    ]
+
+
+def _used(store: ArtifactStore, names: Mapping[str, str], runs: Iterable[RecordedRun]) -> set[str]:
+    """Keys that something names, and of all that these were made from."""
+    open_keys = set(names) | {run.key for run in runs if run.key}
+    for report in store.root.glob("reports/*/report.json"):
+        content = read_json(report)
+        if isinstance(content, dict):
+            open_keys |= {*content.get("aggregations", ()), *content.get("datasets", {}).values()}
+    for file in store.root.glob("tracking/*.jsonl"):
+        for event in read_lines(file):
+            node = event.get("node")
+            open_keys |= {str(event.get("about")), str(node["key"]) if node else ""}
+    inputs = {r["key"]: set(r.get("inputs", {}).values()) for r in store.records() if "key" in r}
+    used: set[str] = set()
+    while open_keys:
+        key = open_keys.pop()
+        used.add(key)
+        open_keys |= inputs.get(key, set()) - used
+    return used
+
+
+def _work(store: ArtifactStore, names: Mapping[str, str], days: float) -> Iterator[Orphan]:
+    for work in store.work_folders():
+        unfinished = store.unfinished(work)
+        known = sorted(names[key] for key in unfinished & names.keys())
+        idle = (time.time() - _newest(work.path)) / _DAY
+        if known and idle < days:
+            continue
+        title = known[0] if known else f"node {min(work.serves)}"
+        more = f" and {len(work.serves) - 1} more" if len(work.serves) > 1 else ""
+        why = f"untouched for {idle:.0f} days" if known else "in no recorded sweep"
+        yield Orphan("work", f"{title}{more}: {why}", (work.path,), work.serves)
+
+
+def _artifacts(store: ArtifactStore, used: Collection[str]) -> Iterator[Orphan]:
+    for record in store.records():
+        key = str(record.get("key"))
+        if key not in used and store.path(key).is_dir():
+            name = record.get("name", "?")
+            what = f"{name}: in no recorded sweep, report or run"
+            yield Orphan("artifact", what, (store.path(key),), frozenset({key}))
+
+
+def _runs(
+    store: ArtifactStore, names: Mapping[str, str], runs: Iterable[RecordedRun]
+) -> Iterator[Orphan]:
+    for run in runs:
+        gone = run.finished and run.key and not store.path(run.key).exists()
+        if gone and run.key not in names:
+            files = store.root / "artifacts" / run.id
+            what = f"{run.name}: run {run.id}, whose artifact {run.key} is gone"
+            yield Orphan("run", what, (files,) if files.is_dir() else (), run=run.id)
+
+
+def _leftovers(store: ArtifactStore, runs: Sequence[RecordedRun] | None) -> Iterator[Orphan]:
+    for folder in _entries(store.root / "damaged"):
+        yield Orphan("leftover", "damaged artifact that was set aside", (folder,))
+    for place in (store.nodes, store.work, store.root / "artifacts"):
+        for folder in _entries(place):
+            if folder.name.startswith(".gone-"):
+                yield Orphan("leftover", "what was being removed", (folder,))
+    if runs is None:
+        return
+    known = {run.id for run in runs}
+    for folder in _entries(store.root / "artifacts"):
+        if folder.name not in known and not folder.name.startswith("."):
+            yield Orphan("leftover", f"files of the run {folder.name}, which is gone", (folder,))
+
+
+def _entries(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir()) if folder.is_dir() else []
+
+
+def _files(path: Path) -> Iterator[os.stat_result]:
+    for file in [path] if path.is_file() else path.rglob("*"):
+        if file.is_file() and not file.is_symlink():
+            yield file.stat()
+
+
+def _newest(folder: Path) -> float:
+    """When anything in a folder was last written; the folder itself if it is empty."""
+    return max((file.st_mtime for file in _files(folder)), default=folder.stat().st_mtime)
+
+
+def freed_bytes(paths: Iterable[Path]) -> int:
+    """What removing all of these frees: nothing for a file that has a name elsewhere."""
+    names: Counter[int] = Counter()
+    files: dict[int, os.stat_result] = {}
+    for path in paths:
+        for file in _files(path):
+            names[file.st_ino] += 1
+            files[file.st_ino] = file
+    return sum(f.st_size for inode, f in files.items() if f.st_nlink <= names[inode])

@@ -1,0 +1,214 @@
+"""Verify a store and find what nothing in it needs: ``python -m flows.verify [--prune]``."""
+
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import Field
+from rich.console import Console
+
+from components.core.sealed import read_record, seal
+from flows.command_line import run_door
+from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
+from flows.pipeline.tracking.mlflow_address import StoreAddress
+from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
+from flows.verification.damage import Damage, Nodes, check_nodes, check_records, check_work
+from flows.verification.orphans import Orphan, RecordedRun, find_orphans, freed_bytes
+
+__all__ = ["VerifySettings", "load_verify_settings", "verify"]
+
+HELP = """\
+usage: python -m flows.verify [KEY=VALUE ...]
+
+Read everything in a store. Named are files that are not what was written, and orphans: what no
+sweep of the store needs, with what it costs. The exit code is 1 if anything is damaged, else 0.
+
+  store=mlruns   folder of the runs
+  prune=true     remove the orphans after naming them; --prune means the same
+  days=30        unfinished work that has not been touched for so many days is an orphan, too
+  seal=true      record digests of finished artifacts that an older version made without; --seal
+                 means the same. What they hold now is taken to be right.
+
+Damaged artifacts are made again by the command of their sweep. Nothing that a running process uses
+is an orphan.
+"""
+
+
+class VerifySettings(StrictModel):
+    """What to verify, and what to do about it."""
+
+    store: Path = Path("mlruns")
+    prune: bool = False
+    days: float = Field(default=30.0, ge=0)
+    seal: bool = False
+
+
+def load_verify_settings(words: Sequence[str]) -> VerifySettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.removeprefix("--").partition("=")
+        if not equals and not word.startswith("--"):
+            raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. prune=true.")
+        if key in fields:
+            raise SettingsError(f"{key} is given twice; give it once.")
+        fields[key] = value if equals else "true"
+    settings: VerifySettings = build_config(VerifySettings, "", fields)
+    store = settings.store.expanduser()
+    if not (store / "nodes").is_dir():
+        raise SettingsError(f"store={store} holds no runs; give the folder that a sweep has made.")
+    return settings.model_copy(update={"store": store})
+
+
+def verify(settings: VerifySettings) -> int:
+    """Verify a store, say what was found, and tidy up as far as that is asked for.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        TrackingError: MLflow cannot be used.
+        ValueError: What is needed is not known, because a record of it is damaged.
+    """
+    store = ArtifactStore(settings.store, create=False)
+    nodes = _read_nodes(store)
+    damages = [*nodes.damages, *check_work(store), *check_records(store)]
+    sweeps = _readable_sweeps(store)
+    print(f"{settings.store}/: {nodes.checked} finished artifacts, {len(sweeps)} recorded sweeps.")
+    for damage in damages:
+        print(f"damaged: {damage.sentence}{_needed_by(damage, sweeps)}")
+    if nodes.unsealed:
+        _seal(store, nodes, seal_now=settings.seal)
+    outside = [damage for damage in damages if not damage.key]
+    if outside and settings.prune:
+        print("Nothing is removed: what is needed is not known while the above is damaged.")
+        return 1
+    if not outside:
+        _tidy(store, find_orphans(store, sweeps, _recorded_runs(store), settings.days), settings)
+    if not damages:
+        print("Nothing is damaged.")
+    return int(bool(damages))
+
+
+def _read_nodes(store: ArtifactStore) -> Nodes:
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return check_nodes(store, lambda number: None)
+    with console.status("reading") as status:
+        return check_nodes(store, lambda number: status.update(f"{number} artifacts read"))
+
+
+def _readable_sweeps(store: ArtifactStore) -> list[SweepRecord]:
+    found = []
+    for path in sweep_files(store.root):
+        try:
+            found.append(read_sweep(path))
+        except (ValueError, FileNotFoundError):
+            continue  # named among the damages
+    return found
+
+
+def _needed_by(damage: Damage, sweeps: Sequence[SweepRecord]) -> str:
+    """The sweep whose command makes a damaged artifact again."""
+    for sweep in sweeps:
+        if damage.key in sweep.nodes:
+            return f" It is {sweep.nodes[damage.key]}; make it again with: {sweep.command}"
+    return ""
+
+
+def _seal(store: ArtifactStore, nodes: Nodes, *, seal_now: bool) -> None:
+    number = len(nodes.unsealed)
+    if not seal_now:
+        print(
+            f"{number} artifacts were made without digests by an older version and cannot be "
+            "checked. Record what they hold now with: python -m flows.verify --seal"
+        )
+        return
+    for folder in nodes.unsealed:
+        with store.locked([folder.name], wait=False) as free:
+            if free and folder.is_dir():
+                seal(folder, read_record(folder))
+    print(f"{number} artifacts of an older version have digests now.")
+
+
+def _recorded_runs(store: ArtifactStore) -> list[RecordedRun] | None:
+    """All runs of the store's own database; None if it has none or a server keeps them."""
+    experiment = _own_experiment(store)
+    if experiment is None:
+        return None
+    return [
+        RecordedRun(
+            run.info.run_id,
+            run.data.tags.get("key", ""),
+            run.info.run_name,
+            run.data.tags.get("role") == "node"
+            and (run.info.status, run.info.lifecycle_stage) == ("FINISHED", "active"),
+        )
+        for run in experiment.search("", deleted=True)
+    ]
+
+
+def _own_experiment(store: ArtifactStore) -> MlflowExperiment | None:
+    address = StoreAddress(store.root)
+    if not (address.own and address.database.exists()):
+        return None
+    return MlflowExperiment(store.root)
+
+
+def _tidy(store: ArtifactStore, orphans: Sequence[Orphan], settings: VerifySettings) -> None:
+    if not orphans:
+        return
+    for orphan in orphans:
+        where = ", ".join(str(path.relative_to(store.root)) for path in orphan.paths)
+        size = _size(freed_bytes(orphan.paths))
+        print(f"orphan: {orphan.kind}, {orphan.what}" + (f" ({where}, {size})" if where else ""))
+    kinds = Counter(orphan.kind for orphan in orphans)
+    counts = ", ".join(f"{number} of kind {kind}" for kind, number in kinds.items())
+    total = _size(freed_bytes(path for orphan in orphans for path in orphan.paths))
+    if not settings.prune:
+        print(f"Orphans: {counts}. Removing them frees {total}: python -m flows.verify --prune")
+        return
+    _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
+    removed = sum(_remove(store, orphan) for orphan in orphans)
+    print(f"Orphans: {counts}; {removed} removed, which frees {total}.")
+
+
+def _delete_runs(store: ArtifactStore, runs: Sequence[str]) -> None:
+    experiment = _own_experiment(store) if runs else None
+    if experiment is not None:
+        with experiment.writing():
+            for run in runs:
+                experiment.client.delete_run(run)
+
+
+def _remove(store: ArtifactStore, orphan: Orphan) -> bool:
+    """Remove an orphan unless a process is at work on it now."""
+    with store.locked(orphan.keys, wait=False) as free:
+        if not free:
+            print(f"kept: {orphan.what}; a process is at work on it")
+            return False
+        for path in orphan.paths:
+            # Renamed first: a kill in the middle leaves no half of an artifact under its name.
+            doomed = path if path.name.startswith(".") else path.with_name(f".gone-{path.name}")
+            path.rename(doomed)
+            shutil.rmtree(doomed) if doomed.is_dir() else doomed.unlink()
+        return True
+
+
+def _size(number: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if number < 1000:
+            return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
+        number /= 1000
+    return f"{number:.1f} GB"
+
+
+if __name__ == "__main__":
+    run_door("verify", HELP, load_verify_settings, verify)
