@@ -23,7 +23,7 @@ class StoreAddress:
     Attributes:
         root: Folder of the store, absolute and without links.
         database: Our own database in it.
-        own: Whether that is used; else MLFLOW_TRACKING_URI names another one or a server.
+        own: Whether that is used; else MLFLOW_TRACKING_URI names another one, or a server.
         tracking: What MLflow is opened with. It may hold a password.
         artifacts: Address of the folder with the runs' files; None if a server chooses it.
     """
@@ -40,8 +40,8 @@ class StoreAddress:
         self.root = Path(root).resolve()
         self.database = self.root / "mlflow.db"
         named = os.environ.get("MLFLOW_TRACKING_URI", "")
-        self.own = not named
-        self.tracking = named or sqlite_address(self.database)
+        self.own = not named or _database_of(named) == self.database
+        self.tracking = sqlite_address(self.database) if self.own else named
         remote = named.partition(":")[0] in _REMOTE
         self.artifacts = None if remote else _file_address(self.root / "artifacts")
 
@@ -64,6 +64,20 @@ def sqlite_address(database: Path) -> str:
         if make_url(address).database == str(database):
             return address
     raise _unusable(database.parent)
+
+
+def _database_of(address: str) -> Path | None:
+    """The file that an address of SQLite leads to; None for any other address."""
+    if not address.startswith("sqlite"):
+        return None
+    from sqlalchemy.engine import make_url
+    from sqlalchemy.exc import ArgumentError
+
+    try:
+        name = make_url(address).database
+    except (ArgumentError, ValueError):
+        return None
+    return Path(name).resolve() if name else None
 
 
 def _file_address(folder: Path) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
-from flows.pipeline.tracking.mlflow_address import StoreAddress
+from flows.pipeline.tracking.mlflow_address import StoreAddress, path_of
 from flows.pipeline.tracking.mlflow_errors import refusal
 from flows.pipeline.tracking.mlflow_leftovers import close_leftovers
 from flows.pipeline.tracking.mlflow_moves import follow_move, former_place
@@ -82,12 +82,25 @@ class MlflowExperiment:
     def _open(self, name: str) -> str:
         experiment = self.client.get_experiment_by_name(name)
         if experiment is None:
-            # A server decides by itself where its artifacts lie.
-            place = self.address.artifacts
+            place = self.address.artifacts  # a server decides by itself where its artifacts lie
+            if place is not None:
+                (self.root / "artifacts").mkdir(exist_ok=True)
             return str(self.client.create_experiment(name, artifact_location=place))
+        if not self.address.own:
+            self._check_place(experiment.artifact_location)
         if experiment.lifecycle_stage != "active":
             self.client.restore_experiment(experiment.experiment_id)
         return str(experiment.experiment_id)
+
+    def _check_place(self, location: str) -> None:
+        """A database of the user's keeps the place of the store that used it first."""
+        place = path_of(location)
+        if self.address.artifacts is not None and place is not None and not place.exists():
+            raise TrackingError(
+                f"MLflow at {without_secrets(self.address.tracking)} keeps the files of all runs "
+                f"in {place}, which is gone, perhaps moved: bring it back, or set "
+                "MLFLOW_TRACKING_URI to another database, and give the same command again."
+            )
 
     def entity(self) -> Any:
         """The experiment as MLflow knows it.

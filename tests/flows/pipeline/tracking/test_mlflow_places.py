@@ -149,3 +149,29 @@ def test_files_that_someone_put_elsewhere_stay_there(home: Path) -> None:
     run(new, small(home))
     assert elsewhere in addresses(new)
     assert len(list((home.parent / "large disk").iterdir())) == 3
+
+
+@pytest.mark.slow(1)
+def test_our_own_database_named_in_the_environment_is_our_own(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(home, small(home))
+    rest(home)
+    new = home.rename(home.parent / "new")
+    monkeypatch.chdir(home.parent)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:///new/mlflow.db")
+    run(new, small(home), "second")
+    assert {path_of(address).is_relative_to(new) for address in addresses(new)} == {True}
+
+
+@pytest.mark.slow(1)
+def test_a_database_elsewhere_does_not_write_to_a_place_that_is_gone(
+    home: Path, database: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(database, home.parent / "other.db")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{home.parent}/other.db")
+    run(home, small(home))
+    new = home.rename(home.parent / "new")
+    with pytest.raises(TrackingError, match=r"keeps the files of all runs in .*my runs/artifacts,"):
+        MlflowTracker(new)
+    assert not home.exists()
