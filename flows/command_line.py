@@ -1,5 +1,6 @@
 """What all doors share: settings from the command line, store, tracker, errors in one sentence."""
 
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -17,18 +18,21 @@ from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Plan
-from flows.pipeline.progress import Display
+from flows.pipeline.progress import Display, duration
 from flows.pipeline.runner import Outcome, run_plan
+from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
+from flows.planning.memory import check_capacity, total_memory
 
 __all__ = [
     "COMMON_HELP",
     "Metrics",
     "ReportWriter",
+    "check_store",
     "command_words",
     "main",
     "make_executor",
@@ -40,6 +44,7 @@ __all__ = [
 COMMON_HELP = """\
   dry_run=true                    show the plan and stop
   show_settings=true              print every setting as YAML and stop
+  yes=true                        also start what is estimated to take longer than a year
   sweep=NAME                      name of the sweep in the tracker and in STORE/reports
   store=mlruns                    folder of everything that is kept
   runner.executor=ray             or serial: everything in this process, for debugging
@@ -53,6 +58,8 @@ Every other setting that show_settings=true prints is given the same way, as KEY
 those below `dataset`, which stand in conf/dataset.
 """
 """The end of the help of every door that runs nodes."""
+
+_YEAR = 365 * 24 * 3600.0  # seconds; nobody waits so long by intention
 
 Loaded = TypeVar("Loaded")
 ReportWriter = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
@@ -77,6 +84,7 @@ def main(
         for note in settings.notes:
             print(f"Note: {note}", file=sys.stderr)
         if not settings.show_settings:
+            check_store(settings.store)
             return body(settings)
         print(settings_yaml(settings), end="")
         return 0
@@ -177,13 +185,23 @@ def run_sweep(
 
     Returns:
         The exit code.
+
+    Raises:
+        SettingsError: This computer cannot do it, or it takes longer than a year.
     """
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
-    display.show_plan(plan, store, executor.slots)
+    seconds = display.show_plan(plan, store, executor.slots)
+    pending = form_groups(plan, (n.key for n in plan if not store.complete(n.key)), store)
+    if not os.environ.get("RAY_ADDRESS"):  # a cluster's computers may be larger
+        check_capacity(pending, total_memory(executor.device), settings.store)
+    if seconds > _YEAR and not settings.yes:
+        raise SettingsError(
+            f"This is estimated to take {duration(seconds)}; choose less, or add yes=true."
+        )
     if settings.dry_run:
         return 0
     command = shlex.join(["python", *command_words()])
@@ -213,6 +231,24 @@ def run_sweep(
         tracker.close(status, files, metrics)
     _name_missing(display, plan, outcome)
     return outcome.exit_code
+
+
+def check_store(folder: Path) -> None:
+    """Refuse a store that cannot be written, without writing.
+
+    Raises:
+        SettingsError: A file lies where a folder should be, or a folder may not be written.
+    """
+    try:
+        nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    except OSError as error:
+        raise SettingsError(f"store={folder} cannot be used: {error.strerror}.") from error
+    if not nearest.is_dir():
+        raise SettingsError(f"store={folder}: {nearest} is a file; name a folder.")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise SettingsError(
+            f"store={folder}: {nearest} may not be written; name a folder that may."
+        )
 
 
 def command_words() -> list[str]:

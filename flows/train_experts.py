@@ -8,6 +8,7 @@ during training, becomes the expert.
 from pathlib import Path
 
 from components.data.controllers.trained.shipped import SHIPPED, Expert
+from components.environments.mujoco.specifications import PHYSICS, ROBOTS
 from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
@@ -22,10 +23,10 @@ Train the controllers that log the robot datasets: DDPG on the robots themselves
 robot together, for hours. To continue a training that was stopped, give the same command again.
 
   profile=smoke                   a training of seconds, for tests; paper is the default
-  robots=[a,b]                    swimmer, hopper, walker2d, or all
+  robots=[a,b]                    {", ".join(ROBOTS)}, or all
   seeds=[0,1,2,3]                 whole numbers; the best seed becomes the expert
   steps=1000000                   environment steps per seed
-  physics=v3|v5                   of the robots; v3, as in the thesis, is the default
+  physics={"|".join(PHYSICS)}                   of the robots; v3, as in the thesis, is the default
   install=true                    put the experts where dataset generation looks for them
   experts.episodes=100            episodes that evaluate the chosen expert
   experts.discount=0.99           of the returns on its card

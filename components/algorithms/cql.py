@@ -84,8 +84,10 @@ class Config:
         """
         check_at_least_one(self, "updates", "batch", "tried_actions", "hidden")
         check_bootstrapping(self.discount, self.target_rate)
-        if min(self.actor_learning_rate, self.learning_rate) <= 0 or self.weight < 0:
-            raise ValueError("learning rates must be positive and weight not negative.")
+        if min(self.actor_learning_rate, self.learning_rate) <= 0:
+            raise ValueError("learning rates must be positive.")
+        if min(self.weight, self.lagrange or 0) < 0:
+            raise ValueError("weight and lagrange must not be negative.")
         if not 0 <= self.cloning <= 1 or self.variant not in ("h", "rho"):
             raise ValueError("cloning must lie in [0, 1] and variant be h or rho.")
 

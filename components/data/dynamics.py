@@ -70,8 +70,9 @@ class DynamicsSpecification:
             weights = dict(card.dynamics["reward"])
         except KeyError as error:
             raise ValueError(
-                f"The card of {card.name} lacks {error} in its machine section, which virtual "
-                "trajectories need; write it there, or generate the dataset again."
+                f"The card of {card.name} lacks {error} in its dynamics specification (`machine` "
+                "in card.json), which virtual trajectories need; write it there, or generate the "
+                "dataset again."
             ) from error
         features, frame = (*known, *learned), card.frame_features
         logged = [*frame, *card.action_features, REWARD]

@@ -112,6 +112,7 @@ class Settings(StrictModel):
     runner: RunnerSettings
     store: Annotated[Path, BeforeValidator(_folder)]
     dry_run: bool
+    yes: bool
     show_settings: bool
     algorithm: AlgorithmConfigs
     model: ModelConfigs

@@ -19,16 +19,20 @@ from flows.pipeline.store import ArtifactStore
 __all__ = ["Display", "duration"]
 
 _BETWEEN = 15.0  # least seconds between two lines about one component in a log
+_DAY = 24 * 3600.0
+_LONG = 3 * _DAY  # from which on a time span is told in days
 _SIGN_OF_LIFE = 60.0  # seconds after which a running component is logged without a change
 
 
 def duration(seconds: float) -> str:
-    """A time span as text, e.g. "2 h 30 min"."""
+    """A time span as text, e.g. "2 h 30 min" or "79 days"."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
+    if whole >= _LONG:
+        return f"{round(seconds / _DAY):,} days"
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes:02d} min"
 
@@ -43,13 +47,16 @@ class Display:
         self._shown: dict[str, tuple[int, ...]] = {}
         self._last: dict[str, float] = {}
 
-    def show_plan(self, plan: Plan, store: ArtifactStore, slots: int) -> None:
+    def show_plan(self, plan: Plan, store: ArtifactStore, slots: int) -> float:
         """Prints the number of nodes per component, what is finished, and an estimate.
 
         Args:
             plan: The plan.
             store: Where finished nodes lie.
             slots: Number of groups that run at once.
+
+        Returns:
+            The estimate, in seconds.
         """
         done = {node.key for node in plan if store.complete(node.key)}
         pending = [node.key for node in plan if node.key not in done]
@@ -79,6 +86,7 @@ class Display:
             if pending
             else f"All {len(plan)} nodes are finished."
         )
+        return total
 
     def start(self, run_state: RunState) -> None:
         """Starts the display of a run."""

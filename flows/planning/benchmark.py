@@ -3,10 +3,14 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import Any
 
 from components.algorithms import ALGORITHMS
 from components.data.dynamics import DynamicsSpecification
+from components.data.sources.industrial import IndustrialSpec
+from components.data.sources.robots import RobotSpec
+from components.data.sources.source import DatasetSource
 from components.data.sources.stored_log import StoredLog
 from components.environments.systems import SYSTEMS
 from components.models import MODELS
@@ -244,7 +248,7 @@ def model_choice(settings: Settings) -> ModelChoice:
 
 
 def check_model(settings: Settings, dataset: str, model: Any) -> None:
-    """Refuse a model that a dataset is too short or too little described for.
+    """Refuse a model that a dataset is too small, too short or too little described for.
 
     Args:
         settings: What is wanted.
@@ -252,11 +256,13 @@ def check_model(settings: Settings, dataset: str, model: Any) -> None:
         model: Configuration object of the model.
 
     Raises:
-        SettingsError: Trajectories are too short for a recurrent ensemble, or the card of a stored
-            log does not tell the dynamics specification that transition models need.
+        SettingsError: Trajectories never fill an observation, there is none to hold out, they are
+            too short for a recurrent ensemble, or the card of a stored log does not tell the
+            dynamics specification that transition models need.
     """
     source = settings.dataset[dataset]
     stored = isinstance(source, StoredLog)
+    _check_size(dataset, source)
     if stored and isinstance(model, RecurrentEnsembleConfig | MLPEnsembleConfig):
         try:
             DynamicsSpecification.of_card(source.card)
@@ -280,6 +286,41 @@ def check_model(settings: Settings, dataset: str, model: Any) -> None:
         )
 
 
+def _check_size(dataset: str, source: DatasetSource) -> None:
+    """Refuse a dataset without a single whole observation, or of a single episode."""
+    if source.steps < source.history:
+        raise SettingsError(
+            f"{dataset} has {source.steps} steps an episode and never fills an observation of "
+            f"{source.history} frames; use longer episodes (data.steps)."
+        )
+    if isinstance(source, RobotSpec) and source.transitions <= source.steps:
+        raise SettingsError(
+            f"{dataset}: data.transitions={source.transitions} may be a single episode of up to "
+            f"{source.steps} steps, and models hold one out; raise data.transitions or lower "
+            "data.steps."
+        )
+    if isinstance(source, StoredLog) and source.card.trajectories < 2:
+        raise SettingsError(
+            f"{dataset} has a single episode, and models hold one out; log at least two."
+        )
+
+
+def _check_algorithm(settings: Settings, dataset: str, name: str) -> None:
+    """Refuse an algorithm that finds nothing to learn from in a dataset's short episodes."""
+    config, source = settings.algorithm_on(dataset, name), settings.dataset[dataset]
+    if source.steps <= getattr(config, "start_after", 0):
+        raise SettingsError(
+            f"algorithm.{name}.start_after={config.start_after}, but {dataset} has {source.steps} "
+            "steps an episode; lower start_after."
+        )
+    # Episodes that end with a fall may be shorter: nothing is earned after it.
+    if isinstance(source, IndustrialSpec) and source.steps < getattr(config, "window", 0):
+        raise SettingsError(
+            f"algorithm.{name}.window={config.window}, but {dataset} has {source.steps} steps an "
+            "episode; lower window or use longer episodes (data.steps)."
+        )
+
+
 def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
     """The whole grid: datasets x algorithms x seeds, with all they need.
 
@@ -296,6 +337,8 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
     choice = choice or model_choice(settings)
     for (dataset, _), config in choice.configs.items():
         check_model(settings, dataset, config)
+    for dataset, name in product(settings.datasets, settings.algorithms):
+        _check_algorithm(settings, dataset, name)
     nodes = []
     for dataset in settings.datasets:
         data = _data_node(settings, dataset)

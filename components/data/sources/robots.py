@@ -100,7 +100,7 @@ class RobotSpec:
 
         Raises:
             FileNotFoundError: it is missing.
-            ValueError: it is damaged.
+            ValueError: it is damaged, or was trained in the other physics.
         """
         return {"expert": self._expert().card.digest}
 
@@ -130,7 +130,14 @@ class RobotSpec:
         return _assemble(self, seed, expert, robots, episodes)
 
     def _expert(self) -> Expert:
-        return Expert.load(SHIPPED / self.robot)
+        expert = Expert.load(SHIPPED / self.robot)
+        if expert.card.physics != self.physics:
+            raise ValueError(
+                f"the expert of {self.robot} was trained in the physics {expert.card.physics}, not "
+                f"{self.physics}; train one with `python -m flows.train_experts "
+                f"robots=[{self.robot}] physics={self.physics} install=true`."
+            )
+        return expert
 
 
 def _assemble(

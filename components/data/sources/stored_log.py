@@ -10,12 +10,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from components.data.dataset import DatasetCard, OfflineDataset
 from components.environments.systems import SYSTEMS
 
 __all__ = ["StoredLog"]
+
+
+_NO_SYSTEM: Final = ("", "none")
+"""What a card says of a plant without a simulator."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,16 @@ class StoredLog:
 
         Raises:
             FileNotFoundError: there is no log.
-            ValueError: its card cannot be read.
+            ValueError: its card cannot be read, or names a system that is not registered.
         """
-        return self._opened(check=False).card
+        card = self._opened(check=False).card
+        if card.environment not in (*_NO_SYSTEM, *SYSTEMS):
+            raise ValueError(
+                f"The card in {self.folder} names the system {card.environment!r}; registered are "
+                f"{', '.join(SYSTEMS)}. Correct `environment`, or leave it empty where there is "
+                "none."
+            )
+        return card
 
     def _opened(self, *, check: bool) -> OfflineDataset:
         try:
@@ -72,7 +83,7 @@ class StoredLog:
 
     @property
     def environment(self) -> str | None:
-        """Gymnasium id of the system on its card; None where nothing of that name is registered."""
+        """Gymnasium id of the system on its card; None where there is none."""
         return self.card.environment if self.card.environment in SYSTEMS else None
 
     @property

@@ -271,5 +271,7 @@ def test_targets_follow_the_critics_after_their_step() -> None:
 def test_settings_outside_their_range_are_named() -> None:
     with pytest.raises(ValueError, match="variant be h or rho"):
         config("cql", variant="sac")
-    with pytest.raises(ValueError, match="weight not negative"):
+    with pytest.raises(ValueError, match="weight and lagrange must not be negative"):
         dataclasses.replace(config("cql"), weight=-1.0)
+    with pytest.raises(ValueError, match="weight and lagrange must not be negative"):
+        dataclasses.replace(config("cql"), lagrange=-1.0)

@@ -115,7 +115,7 @@ def test_where_policies_see_all_the_past_is_what_they_see() -> None:
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ({"known": {"features": ["hip", "knee"]}}, "lacks 'keep' in its machine section"),
+        ({"known": {"features": ["hip", "knee"]}}, "lacks 'keep' in its dynamics specification"),
         ({"learned": ["tilt", "bend", "speed", "reward"]}, "needs frames of .* but robot logs"),
         ({"learned": ["tilt", "speed", "bend", "height"]}, "needs frames of .* but robot logs"),
         ({"reward": {"profit": 1.0}}, "the reward {'profit': 1.0} must be made of"),

@@ -155,12 +155,15 @@ def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -
 
 
 def test_durations_read_well() -> None:
-    assert [duration(s) for s in (0.4, 59, 61, 3599.7, 9000)] == [
+    assert [duration(s) for s in (0.4, 59, 61, 3599.7, 9000, 2e5, 79 * 86400, 1e10)] == [
         "0 s",
         "59 s",
         "1 min 01 s",
         "1 h 00 min",
         "2 h 30 min",
+        "55 h 33 min",
+        "79 days",
+        "115,741 days",
     ]
 
 

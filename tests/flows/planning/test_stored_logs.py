@@ -135,11 +135,34 @@ def test_a_damaged_log_ends_in_one_sentence(project: Path) -> None:
         benchmark_plan(chosen("algorithms=[bc]"))
 
 
+def test_a_mistyped_system_on_the_card_is_refused(project: Path) -> None:
+    card = dataclasses.replace(LOG.card, environment="proximity/IndustrialBenchmark-v1")
+    replaced(project, dataclasses.replace(LOG, card=card))
+    with pytest.raises(SettingsError, match=r"^my-log: .*Benchmark-v1'; registered are .* none\.$"):
+        benchmark_plan(chosen("algorithms=[bc]"))
+
+
+@pytest.mark.parametrize("word", ["", "none"])
+def test_a_card_may_say_that_there_is_no_system(project: Path, word: str) -> None:
+    card = dataclasses.replace(LOG.card, environment=word)
+    replaced(project, dataclasses.replace(LOG, card=card))
+    assert "evaluation" not in benchmark_plan(chosen("algorithms=[bc]")).counts()
+
+
+def test_a_log_of_a_single_episode_is_refused(project: Path) -> None:
+    replaced(project, make_log(episodes=1))
+    with pytest.raises(SettingsError, match=r"^my-log has a single episode, and models hold one"):
+        benchmark_plan(chosen("algorithms=[bc]"))
+
+
 def test_model_based_learners_need_the_card_to_tell_the_dynamics(project: Path) -> None:
     bare = dataclasses.replace(LOG, card=dataclasses.replace(LOG.card, dynamics={}))
     replaced(project, bare)
     assert benchmark_plan(chosen("algorithms=[bc]")).counts()["policy_training"] == 2
-    with pytest.raises(SettingsError, match=r"^my-log: .* lacks 'known' .*no transition model\.$"):
+    with pytest.raises(
+        SettingsError,
+        match=r"^my-log: .* lacks 'known' in its dynamics specification .*no transition model\.$",
+    ):
         benchmark_plan(chosen("algorithms=[bc,lion]"))
 
 

@@ -281,6 +281,13 @@ def test_impossible_specifications_are_refused(change: dict[str, object], messag
         dataclasses.replace(SPEC, **change)
 
 
+def test_an_expert_of_the_other_physics_is_refused() -> None:
+    spec = RobotSpec("swimmer", "swimmer", transitions=9, physics="v5")
+    for use in (lambda: spec.ingredients, lambda: spec.generate(0)):
+        with pytest.raises(ValueError, match="in the physics v3, not v5; train one with"):
+            use()
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.slow(2)
 def test_shipped_experts_log_the_same_bytes_on_more_threads(

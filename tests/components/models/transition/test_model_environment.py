@@ -304,7 +304,7 @@ def test_cards_must_tell_how_actions_move_the_machine() -> None:
     assert RULE.reward == (-0.03, -0.01)
     known = {"features": ["setpoint"], "keep": [1.0], "scale": [0.0]}
     card = dataclasses.replace(LOG.card, dynamics={"known": known, "learned": []})
-    with pytest.raises(ValueError, match="card of toy lacks 'low' in its machine section"):
+    with pytest.raises(ValueError, match="card of toy lacks 'low' in its dynamics specification"):
         DynamicsSpecification.of_card(card)
 
 
