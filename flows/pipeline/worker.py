@@ -15,6 +15,7 @@ from typing import Any
 
 from components.core.files import write_json
 from flows.pipeline.plan import Node
+from flows.pipeline.software import software
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
 
@@ -195,6 +196,7 @@ def _describe(out: Path, node: Mapping[str, Any], usage: Mapping[str, Any], shar
     described |= dict(usage)
     described |= {"wall_seconds": wall, "share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
+    described |= {"software": software(usage["device"])}
     write_json(out / "node.json", described)
 
 
