@@ -147,6 +147,7 @@ def make_executor(settings: Settings) -> Executor:
         cpus=runner.cpus,
         threads=runner.threads,
         device=device,
+        gpus=torch.cuda.device_count() if device == "cuda" else 0,
         gpus_per_task=runner.gpu_share,
     )
 

@@ -12,7 +12,7 @@ the current policies are rolled out from recorded states drawn uniformly from th
 
 A trajectory ends where the next state is a fall. The authors have a hand-written function for each
 task; here its ranges are on the dataset's card, see :mod:`~components.algorithms.parts.falls`, and
-no other algorithm uses them.
+no other algorithm uses them. Transitions are drawn uniformly from all that are in the ring.
 
 The ring keeps the last ``retained_rollouts`` roll-outs. An update is one step of
 :mod:`~components.algorithms.parts.soft_actor_critic` on a batch of which a share ``real_ratio`` was
@@ -225,7 +225,7 @@ class Learner(SoftActorCritic):
     def _batch(self, drawn: Mapping[str, Tensor], step: int) -> Batch:
         """Logged transitions first, then virtual ones."""
         config = self._config
-        filled = self._kept(step) * config.rollouts * config.rollout_length
+        filled = self._buffer.count(self._kept(step) * config.rollouts)
         virtual = self._buffer.batch((drawn["virtual"] * filled).long())
         if config.logged == 0:
             return virtual
@@ -283,6 +283,7 @@ ALGORITHM: Final = Algorithm(
     config=Config,
     learner=Learner,
     version=1,
+    version_with_falls=2,
     cost=_cost,
     needs=("gaussian_ensemble",),
     frame_epsilon=1e-3,

@@ -7,6 +7,7 @@ by a record here.
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.environments.industrial.benchmark import DYNAMICS, IndustrialBenchmark
-from components.environments.mujoco.specifications import ROBOTS, Robot, simulator_version
+from components.environments.mujoco.specifications import ROBOTS, Robot, simulation_of
 
 __all__ = [
     "INDUSTRIAL_BENCHMARK",
@@ -69,8 +70,8 @@ class System:
         entry_point: "package.module:Class" of a single one, for Gymnasium.
         vector_entry_point: the same of Gymnasium's vectorised interface, if it has one.
         drawable: whether it can be drawn.
-        simulator: tells name and version of the installed simulator that decides its numbers, e.g.
-            "mujoco 3.5.0"; empty for a system that is part of this package.
+        simulator: tells what is installed that decides its numbers, e.g. "mujoco 3.5.0" and the
+            model that it simulates; empty for a system that is part of this package.
     """
 
     name: str
@@ -116,7 +117,7 @@ def _robot_system(robot: Robot) -> System:
         dynamics=robot.dynamics,
         entry_point=f"components.environments.mujoco.gymnasium_api:{robot.class_name}",
         drawable=True,
-        simulator=simulator_version,
+        simulator=partial(simulation_of, robot),
     )
 
 

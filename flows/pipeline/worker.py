@@ -15,6 +15,7 @@ from typing import Any
 
 from components.core.sealed import content_digest, read_record, seal
 from flows.pipeline.plan import Node
+from flows.pipeline.software import software
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
 
@@ -207,6 +208,7 @@ def _describe(
     described |= {"content": dict(content)} | dict(usage)
     described |= {"wall_seconds": wall, "share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
+    described |= {"software": software(usage["device"])}
     seal(out, described)
 
 

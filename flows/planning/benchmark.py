@@ -156,7 +156,11 @@ def _policy_node(
     algorithm, config = ALGORITHMS[variant.algorithm], variant.config
     # A stack has one configuration, and data and models of one shape.
     models = {role: inputs[role].config["settings"] for role in algorithm.needs}
-    system = settings.dataset[dataset].environment
+    source = settings.dataset[dataset]
+    system = source.environment
+    # A stored log may tell more about its system than the registry.
+    stored = isinstance(source, StoredLog)
+    dynamics = source.card.dynamics if stored else SYSTEMS[system].dynamics
     kind = digest([jsonable(asdict(config)), models, system], 4)
     return Node(
         component="policy_training",
@@ -165,7 +169,7 @@ def _policy_node(
         version=COMPONENTS["policy_training"],
         config={
             "algorithm": algorithm.name,
-            "algorithm_version": algorithm.version,
+            "algorithm_version": algorithm.version_on(dynamics),
             "settings": jsonable(asdict(config)),
             "snapshots": settings.training.snapshots,
             "seed": seed,

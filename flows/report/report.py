@@ -17,6 +17,7 @@ from components.reporting.tables import ended_notes, markdown_table, result_tabl
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.report.films import film_notes
+from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
 
@@ -30,12 +31,14 @@ class Report:
         table: One row per dataset, algorithm and proximity.
         summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
+        software: A sentence if rows come from different software or devices.
     """
 
     files: Sequence[Path]
     table: pd.DataFrame
     summaries: Sequence[Mapping[str, Any]]
     without_system: Sequence[str]
+    software: Sequence[str] = ()
 
     @property
     def notes(self) -> list[str]:
@@ -44,6 +47,7 @@ class Report:
         return [
             *ended_notes(self.summaries),
             *(f"{name} {reason}" for name in self.without_system),
+            *self.software,
         ]
 
     @property
@@ -85,7 +89,8 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     table = result_table(summaries)
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))
-    report = Report(files, table, summaries, _without_system(plan))
+    software = software_notes(aggregations, store)
+    report = Report(files, table, summaries, _without_system(plan), software)
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
     text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)

@@ -17,7 +17,7 @@ from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
 from components.environments.mujoco.robots import Robots
-from components.environments.mujoco.specifications import ROBOTS
+from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import check_simulator
 from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
@@ -92,7 +92,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             robot=config["robot"],
             environment=ROBOTS[config["robot"]].id,
             physics=config["physics"],
-            simulator=config["simulator"],
+            simulator=simulator_version(),
             seed=best,
             candidates={str(seed): found["return"] for seed, found in reached.items()},
             step=reached[best]["step"],

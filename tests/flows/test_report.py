@@ -12,12 +12,13 @@ from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco.specifications import HOPPER
 from components.reporting.stored import open_report
 from flows.configuration.settings import load_settings
-from flows.pipeline.plan import Node
+from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
 from flows.render import find_policy, load_render_settings
 from flows.report import report
 from flows.report.films import film_notes
+from flows.report.software import software_notes
 
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
@@ -101,6 +102,62 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
         settings = load_render_settings(command[3:])
         assert find_policy(store, settings.run)["key"] == node.key
         assert (settings.proximity is not None) == (node.config["algorithm"] == "lion")
+
+
+def made_with(store: ArtifactStore, plan: Plan, *records: Any) -> list[str]:
+    """Notes on cells whose policies of seed 0, 1 ... were trained with the given software.
+
+    Everything else was computed with the first.
+    """
+    for node in plan:
+        seed = int(node.tags.get("seed", 0)) if node.component == "policy_training" else 0
+        found = records[min(seed, len(records) - 1)]
+        folder = store.path(node.key)
+        folder.mkdir(parents=True, exist_ok=True)
+        record = {"key": node.key} | ({"software": found} if found else {})
+        write_json(folder / "node.json", record)
+    return software_notes(plan.by_component()["aggregation"], store)
+
+
+CPU = {"torch": "2.13.0+cpu", "device": "AMD EPYC", "float32": "highest"}
+GPU = {"torch": "2.11.0+cu128", "device": "NVIDIA H200", "float32": "high"}
+
+
+def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> None:
+    words = [*WORDS[:2], "datasets=[mediocre-0.2,bad-0.4]"]
+    one, two = (benchmark_plan(load_settings([*words, s])) for s in ("seeds=[0]", "seeds=[0,1]"))
+    store = ArtifactStore(tmp_path)
+    assert made_with(store, one, CPU) == []
+    assert made_with(store, one, None) == [], "what is unknown throughout is not mixed"
+    cpu, gpu = "torch 2.13.0+cpu on AMD EPYC", "torch 2.11.0+cu128 on NVIDIA H200"
+    start = "The cells come from different software or devices:"
+    assert made_with(store, two, CPU, GPU) == [
+        f"{start} {gpu} in high float32 precision and {cpu} (4 cells)."
+    ]
+    assert made_with(store, two, CPU, None) == [f"{start} {cpu} and unknown software (4 cells)."]
+    # Cells of another dataset, computed elsewhere: none is mixed by itself, the table is.
+    other = [node for node in one if node.tags["dataset"] == "bad-0.4"]
+    made_with(store, one, CPU)
+    for node in other:
+        write_json(
+            store.path(node.key) / "node.json",
+            {"key": node.key, "software": CPU | {"device": "Xeon"}},
+        )
+    cells = one.by_component()["aggregation"]
+    assert software_notes(cells[:3], store) == [
+        f"{start} {cpu} (2 cells), torch 2.13.0+cpu on Xeon (1 cell)."
+    ]
+    # Data are the same bytes everywhere, and means are of the same numbers.
+    assert software_notes(cells[:2], store) == []
+    for node in one:
+        if node.component in ("data_generation", "aggregation"):
+            write_json(store.path(node.key) / "node.json", {"key": node.key, "software": GPU})
+    assert software_notes(cells[:2], store) == []
+
+
+def test_the_report_shows_the_note_on_software() -> None:
+    written = report.Report([], pd.DataFrame(), [], [], ["The cells come from different software."])
+    assert written.lines() == ["Note: The cells come from different software."]
 
 
 def test_films_are_those_of_the_first_seed() -> None:

@@ -1,8 +1,8 @@
 """The record by which plans, tasks and tests use an algorithm; every algorithm's module has one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
 
@@ -29,6 +29,8 @@ class Algorithm(Generic[C]):
         config: Its settings with their defaults, a frozen dataclass.
         learner: ``learner(config, inputs)`` makes a new stack of learners.
         version: To be raised whenever a change of its code can change results; part of node keys.
+        version_with_falls: The same for datasets whose systems can fall, where its code for falls
+            alone has changed; None: there is no difference.
         cost: Core-seconds of one seed at given settings, measured roughly on a computer of 2026.
             Costs order the nodes, and estimate their time until times of finished nodes are known.
         needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
@@ -44,6 +46,12 @@ class Algorithm(Generic[C]):
     needs: tuple[str, ...] = ()
     takes_proximity: bool = False
     frame_epsilon: float = 0.0
+    version_with_falls: int | None = None
+
+    def version_on(self, dynamics: Mapping[str, Any]) -> int:
+        """The version that counts for a dataset, by the dynamics specification on its card."""
+        own = self.version_with_falls if dynamics.get("healthy") else None
+        return self.version if own is None else own
 
 
 class _Batched(PolicyConfig, Protocol):

@@ -5,11 +5,12 @@ rewards. Its observations are gathered when a batch is drawn: the new frames, ne
 joined with the recorded history of the start, so that every observation is contiguous in memory.
 Stacked histories, thirty times as large, are never stored.
 
-A trajectory may end before its T steps are over. Steps after its end are never drawn: their numbers
-stand for its first steps again, which are drawn the more often.
+A trajectory may end before its T steps are over. Steps after its end are no transitions: they are
+not counted, so that all others are drawn equally often.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -34,6 +35,7 @@ class ModelBuffer(nn.Module):
     actions: Tensor  # [L, C, T, A]
     rewards: Tensor  # [L, C, T]
     ended: Tensor  # [L, C] step after which a state is terminal, or T if none is
+    before: Tensor  # [L, C + 1] transitions before each place, and in all
 
     def __init__(self, data: LaneData, capacity: int, length: int) -> None:
         super().__init__()
@@ -45,6 +47,10 @@ class ModelBuffer(nn.Module):
         self.register_buffer("rewards", torch.zeros(shape, device=device))
         never = torch.full(shape[:2], length, dtype=torch.int16, device=device)
         self.register_buffer("ended", never)
+        # It follows from the above, so it is not part of the state.
+        counts = torch.zeros((data.lanes, capacity + 1), dtype=torch.int32, device=device)
+        self.register_buffer("before", counts, persistent=False)
+        self._count()
 
     def write(
         self,
@@ -72,13 +78,31 @@ class ModelBuffer(nn.Module):
         self.actions[:, places] = torch.stack([*actions], dim=2)
         self.rewards[:, places] = torch.stack([*rewards], dim=2)
         self.ended[:, places] = self._length if ended is None else ended.to(self.ended.dtype)
+        self._count()
+
+    def _count(self) -> None:
+        steps = self.ended.clamp(max=self._length - 1) + 1
+        self.before[:, 1:] = steps.cumsum(dim=1)
+
+    def load_state_dict(
+        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
+    ) -> Any:
+        """Restore the contents, and count them."""
+        keys = super().load_state_dict(state_dict, strict, assign)
+        self._count()
+        return keys
+
+    def count(self, places: int) -> Tensor:
+        """Transitions of the trajectories at the first places, ``[L, 1]``."""
+        return self.before[:, places : places + 1]
 
     def batch(self, index: Tensor) -> Batch:
-        """Transitions ``index [L, B]``: ``n T + t`` is step t of the trajectory at place n."""
-        place, step = index // self._length, index % self._length
+        """Transitions ``index [L, B]``, counted trajectory by trajectory, step by step."""
         lane = torch.arange(len(index), device=index.device)[:, None]
-        ended = self.ended[lane, place].long()
-        step = step % (ended + 1)  # changes nothing where a trajectory has not ended
+        number = index.to(self.before.dtype).contiguous()
+        place = torch.searchsorted(self.before, number, right=True) - 1
+        step = index - self.before[lane, place]
+        ended = self.ended[lane, place]
         recorded = self._data.observations(self.start[lane, place])  # [L, B, H * F]
         whole = torch.cat([self.frames[lane, place].flatten(2), recorded], dim=-1)
         width, seen = self._data.frame_width, self._data.observation_width

@@ -11,6 +11,7 @@ version of these environments; `physics="v3"` restores it on today's MuJoCo:
 `physics="v5"` is Gymnasium's v5 untouched.
 """
 
+import hashlib
 import importlib.metadata
 import math
 from collections.abc import Mapping
@@ -35,6 +36,7 @@ __all__ = [
     "Health",
     "Robot",
     "load_model",
+    "simulation_of",
     "simulator_version",
 ]
 
@@ -242,8 +244,15 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
 
 
 def simulator_version() -> str:
-    """Name and version of the installed simulator, for keys and cards of what is made with it.
+    """Name and version of the simulator, for the cards of what was made with it.
 
-    It is that of the installed package, so that nothing has to be imported.
+    They are those of the installed package, so that nothing has to be imported.
     """
     return f"mujoco {importlib.metadata.version('mujoco')}"
+
+
+def simulation_of(robot: Robot) -> str:
+    """What decides a robot's numbers: the simulator, and a digest of Gymnasium's model files."""
+    files = sorted(set(robot.models.values()))
+    content = hashlib.sha256(b"".join((_ASSETS / name).read_bytes() for name in files))
+    return f"{simulator_version()} on {' and '.join(files)} {content.hexdigest()[:8]}"

@@ -35,6 +35,7 @@ class RayExecutor:
         cpus: int | None = None,
         threads: int = 1,
         device: str = "cpu",
+        gpus: int = 1,
         gpus_per_task: float = 0.5,
         retries: int = 3,
     ) -> None:
@@ -44,14 +45,15 @@ class RayExecutor:
             cpus: Processors to use on this computer; all by default. A cluster knows its own.
             threads: Threads, and therefore processors, of one group.
             device: "cpu" or "cuda".
+            gpus: GPUs of this computer, if the device is "cuda". A cluster knows its own.
             gpus_per_task: Share of a GPU that one group occupies if the device is "cuda".
             retries: How often a group is started again after its worker died.
         """
         self.threads = threads
         self.device = device
         self._cpus = cpus or available_cpus()
-        self.slots = max(1, self._cpus // threads)
         self._gpus = gpus_per_task if device == "cuda" else 0.0
+        self.slots = max(1, _places(self._cpus, threads, gpus, self._gpus))
         self._retries = retries
         self._running: dict[Any, tuple[GroupCall, int]] = {}
         self._notify: Callable[[str], None] = lambda text: None
@@ -91,9 +93,8 @@ class RayExecutor:
         _silence(ray)
         if address:
             resources = ray.cluster_resources()
-            self.slots = int(resources.get("CPU", 0)) // self.threads
-            if self._gpus:
-                self.slots = min(self.slots, int(resources.get("GPU", 0) / self._gpus))
+            cpus, gpus = (int(resources.get(name, 0)) for name in ("CPU", "GPU"))
+            self.slots = _places(cpus, self.threads, gpus, self._gpus)
         if self.slots < 1 or (self._gpus and not ray.cluster_resources().get("GPU")):
             raise PipelineError(
                 f"Ray offers no place for a task with {self.threads} processors on "
@@ -174,6 +175,15 @@ class RayExecutor:
                 ray.wait(list(self._running), num_returns=len(self._running), timeout=2)
         self._running.clear()
         ray.shutdown()
+
+
+def _places(cpus: int, threads: int, gpus: int, share: float) -> int:
+    """Groups that run at once, each on ``threads`` processors and a ``share`` of one GPU, if any.
+
+    A share does not reach across GPUs: two of them at 0.4 hold four groups.
+    """
+    places = cpus // threads
+    return min(places, gpus * int(1 / share)) if share else places
 
 
 def _lost(call: GroupCall, reason: str) -> GroupResult:

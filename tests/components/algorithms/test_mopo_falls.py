@@ -61,15 +61,49 @@ def test_trajectories_end_at_their_first_fall() -> None:
     assert set(ends) == {0, 1, 2, 3, 4}, "every ending must occur for this test to say something"
 
 
-def test_nothing_is_drawn_from_behind_an_end() -> None:
+def test_steps_up_to_an_end_are_drawn_equally_often_and_none_behind_it() -> None:
     buffer = ModelBuffer(LaneData([LOG], CPU), 3, 4)
     numbers = torch.arange(12.0).view(4, 1, 3)  # of step t and trajectory n: 3 t + n
     frames = numbers[..., None].expand(-1, -1, -1, 3)
     ended = torch.tensor([[1, 4, 3]])  # at the second step, never, at the last
     buffer.write(0, torch.zeros(1, 3).long(), [*frames], [*frames[..., :2]], [*numbers], ended)
-    batch = buffer.batch(torch.arange(12)[None])
-    first, second, third = [0, 3, 0, 3], [1, 4, 7, 10], [2, 5, 8, 11]
+    assert [int(buffer.count(places)) for places in range(4)] == [0, 2, 6, 10]
+    batch = buffer.batch(torch.arange(10)[None])
+    first, second, third = [0, 3], [1, 4, 7, 10], [2, 5, 8, 11]
     assert batch.rewards[0].tolist() == first + second + third
     assert torch.equal(batch.next_observations, batch.rewards[..., None].expand(-1, -1, 3))
-    assert batch.observations[0, [1, 3, 5], 0].tolist() == [0.0, 0.0, 1.0]
-    assert batch.continues[0].tolist() == [1, 0, 1, 0, 1, 1, 1, 1, 1, 1, 1, 0]
+    assert batch.observations[0, [1, 3, 7], 0].tolist() == [0.0, 1.0, 2.0]
+    assert batch.continues[0].tolist() == [1, 0, 1, 1, 1, 1, 1, 1, 1, 0]
+    # Another roll-out in its place is counted anew, also in a ring that is restored.
+    other = ModelBuffer(LaneData([LOG], CPU), 3, 4)
+    other.load_state_dict(buffer.state_dict())
+    for ring in (buffer, other):
+        assert int(ring.count(3)) == 10
+        assert torch.equal(ring.batch(torch.arange(10)[None]).rewards, batch.rewards)
+        ring.write(
+            0,
+            torch.zeros(1, 1).long(),
+            [*frames[:, :, :1]],
+            [*frames[:, :, :1, :2]],
+            [*numbers[:, :, :1]],
+        )
+        assert [int(ring.count(places)) for places in range(4)] == [0, 4, 8, 12]
+
+
+@torch.no_grad()
+def test_a_learner_draws_every_transition_equally_often() -> None:
+    """Evenly spread numbers hit each transition of a half-filled ring the same number of times."""
+    made = learner("mopo", [LOG, make_robot_log("other", seed=5)], [0, 1], rollouts=50)
+    made._roll_out(0)
+    buffer, lengths = made._buffer, made._buffer.ended[:, :50].clamp(max=3) + 1
+    assert lengths.sum() < 2 * 50 * 4, "some must have fallen"
+    numbers = torch.zeros(2, 3 * 200, dtype=torch.float64)
+    totals = lengths.sum(dim=1)
+    for lane, total in enumerate(totals.tolist()):
+        numbers[lane, : 3 * total] = (torch.arange(3 * total) + 0.5) / (3 * total)
+    drawn = {name: value for name, value in made._streams.at(0).items() if name != "virtual"}
+    rewards = made._batch(drawn | {"virtual": numbers}, 0).rewards[:, made._config.logged :]
+    for lane, total in enumerate(totals.tolist()):
+        valid = torch.arange(4) < lengths[lane, :, None]
+        stored = buffer.rewards[lane, :50][valid].repeat_interleave(3)
+        assert torch.equal(rewards[lane, : 3 * total], stored)

@@ -10,8 +10,8 @@ import gymnasium as gym
 import mujoco
 import pytest
 
-from components.environments.mujoco import gymnasium_api
-from components.environments.mujoco.specifications import HOPPER, ROBOTS, Robot
+from components.environments.mujoco import gymnasium_api, specifications
+from components.environments.mujoco.specifications import HOPPER, ROBOTS, Robot, load_model
 from components.environments.rendering import DRAWABLE
 from components.environments.systems import (
     INDUSTRIAL_BENCHMARK,
@@ -60,10 +60,22 @@ def test_single_robots_have_classes_that_can_be_copied(robot: Robot) -> None:
 def test_systems_tell_their_simulator(system: System) -> None:
     found = system.simulator()
     own = system is INDUSTRIAL_BENCHMARK
-    assert found == ("" if own else f"mujoco {mujoco.__version__}")
+    assert (found == "") == own
+    assert own or found.startswith(f"mujoco {mujoco.__version__} on {system.name}.xml ")
     check_simulator(system.id, found)
     with pytest.raises(ValueError, match=rf"{system.id} was planned with mujoco 2\.0, but .* has"):
         check_simulator(system.id, "mujoco 2.0")
+
+
+def test_another_model_is_another_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = SYSTEMS[HOPPER.id].simulator()
+    assert load_model(HOPPER, "v3").opt.timestep > 0  # of the same file
+    text = (specifications._ASSETS / "hopper.xml").read_text(encoding="utf-8")
+    (tmp_path / "hopper.xml").write_text(text.replace("0.002", "0.001"), encoding="utf-8")
+    monkeypatch.setattr(specifications, "_ASSETS", tmp_path)
+    assert SYSTEMS[HOPPER.id].simulator() != before
 
 
 def test_names_that_are_none_are_refused() -> None:

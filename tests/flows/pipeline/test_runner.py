@@ -4,6 +4,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -103,6 +104,8 @@ def test_node_json_says_what_the_artifact_is(store: ArtifactStore, log: Path) ->
     assert record["wall_seconds"] >= 0
     assert record["peak_rss_mib"] > 1
     assert "Python" in record["hardware"]
+    assert record["software"]["numpy"] == np.__version__
+    assert record["software"]["device"] in record["hardware"]
 
 
 def test_failure_stops_only_what_needs_it(store: ArtifactStore, log: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from components.algorithms import ALGORITHMS
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
 from components.policies.policy import Policy
@@ -81,6 +82,25 @@ def test_the_key_holds_the_content_of_a_log_but_not_its_folder_or_the_data_seed(
         project / "elsewhere"
     )
     assert data_key(data_plan(chosen())) != before
+
+
+def test_a_version_for_falls_counts_where_the_card_says_that_the_system_can_fall(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def planned() -> list[int]:
+        plan = benchmark_plan(chosen("algorithms=[mopo]", "datasets=[my-log,bad-0.0]", "seeds=[0]"))
+        policies = plan.by_component()["policy_training"]
+        return [node.config["algorithm_version"] for node in policies]
+
+    mopo = ALGORITHMS["mopo"]
+    assert planned() == [mopo.version] * 2
+    healthy = {**LOG.card.dynamics, "healthy": {"fatigue": [0.0, 9.0]}}
+    replaced(
+        project, dataclasses.replace(LOG, card=dataclasses.replace(LOG.card, dynamics=healthy))
+    )
+    assert planned() == [mopo.version_with_falls, mopo.version]
+    assert mopo.version_with_falls != mopo.version
+    assert ALGORITHMS["td3_bc"].version_on(healthy) == ALGORITHMS["td3_bc"].version
 
 
 def test_the_log_is_stored_like_any_dataset_and_learned_from(project: Path) -> None:

@@ -12,6 +12,8 @@ import pytest
 from rich.console import Console
 
 from components.core.files import read_json
+from flows.command_line import make_executor
+from flows.configuration.settings import load_settings
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.plan import Plan
@@ -59,6 +61,31 @@ def test_ray_runs_a_plan_and_survives_its_workers(
     assert read_json(store.path(threads.key) / "value.json") == 1.0
     # Nothing of Ray's own talk reaches the screen, not even about dead workers.
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("cpus", "threads", "gpus", "share", "slots"),
+    [
+        (16, 1, 1, 0.5, 2),  # the GPU is the limit, not the sixteen processors
+        (16, 1, 2, 0.4, 4),  # no task takes parts of two GPUs
+        (16, 1, 1, 0.1, 10),
+        (16, 6, 4, 1.0, 2),  # the processors are
+        (1, 2, 1, 1.0, 1),  # Ray says at its start that there is no place
+    ],
+)
+def test_places_are_limited_by_processors_and_by_shares_of_gpus(
+    cpus: int, threads: int, gpus: int, share: float, slots: int
+) -> None:
+    given = {"cpus": cpus, "threads": threads, "gpus": gpus, "gpus_per_task": share}
+    assert RayExecutor(device="cuda", **given).slots == slots
+    assert RayExecutor(device="cpu", **given).slots == max(1, cpus // threads)
+
+
+def test_the_executor_of_a_door_knows_the_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 3)
+    settings = load_settings(["profile=smoke", "runner.cpus=16", "runner.gpu_share=0.5"])
+    assert make_executor(settings).slots == 6
 
 
 def test_cluster_that_is_not_there_is_one_sentence(

@@ -1,0 +1,30 @@
+"""What a node's record says about the software that computed it."""
+
+import sys
+
+import pytest
+import torch
+
+from flows.pipeline.software import processor, software
+
+
+def test_a_task_on_the_processor() -> None:
+    found = software("cpu")
+    assert found["torch"] == torch.__version__
+    assert found["float32"] == "highest"
+    assert found["device"] == processor() != ""
+
+
+def test_a_task_on_a_gpu_that_may_use_less_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "NVIDIA H200")
+    monkeypatch.setattr(torch, "get_float32_matmul_precision", lambda: "high")
+    found = software("cuda")
+    assert (found["device"], found["float32"]) == ("NVIDIA H200", "high")
+
+
+def test_what_a_task_has_not_used_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "torch")
+    monkeypatch.setitem(sys.modules, "mujoco", torch)
+    found = software("cpu")
+    assert found.keys() >= {"mujoco", "device"}
+    assert found.keys().isdisjoint({"torch", "float32"})
