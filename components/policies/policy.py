@@ -51,8 +51,9 @@ class PolicyCard:
         candidates: N, actions drawn per state; 0 if the policy is deterministic.
         noise: Width of the normal noise from which a candidate is made.
         perturbation: Largest change BCQ's actor may make to a generated action.
-        ended_at: Update by which a loss had become infinite or undefined and learning ended; the
-            snapshots after it repeat the last finite one. None: training used the whole budget.
+        ended_at: Update by which a loss, a weight or an action in the log's states had become
+            infinite or undefined and learning ended; the snapshots after it repeat the last finite
+            one. None: training used the whole budget.
     """
 
     algorithm: str
@@ -90,7 +91,8 @@ class PolicyCard:
     def save(self, path: Path) -> None:
         """Write ``policy.json``."""
         values = {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
-        write_text(path, json.dumps({"format": FORMAT, **values}, indent=2) + "\n")
+        text = json.dumps({"format": FORMAT, **values}, indent=2, allow_nan=False)
+        write_text(path, text + "\n")
 
 
 def _amend(values: dict[str, Any]) -> None:
@@ -216,7 +218,16 @@ class Policy:
         return KINDS[self.card.kind](self.networks, x, noise, self.card.perturbation)
 
     def save(self, folder: Path) -> None:
-        """Write the artifact into an existing folder; ``policy.json`` appears last."""
+        """Write the artifact into an existing folder; ``policy.json`` appears last.
+
+        Raises:
+            ValueError: If a number is infinite or undefined: such a policy is never stored.
+        """
+        if wrong := _undefined(self._tensors()):
+            raise ValueError(
+                f"A policy of {self.card.algorithm} on {self.card.dataset} is not finite in "
+                f"{wrong}, so it is not stored."
+            )
         header = {"format": FORMAT, "networks": {r: len(n) for r, n in self.networks.items()}}
         save_tensors(folder / "weights.safetensors", self._tensors(), header)
         self.card.save(folder / "policy.json")
@@ -227,10 +238,16 @@ class Policy:
 
         Raises:
             FileNotFoundError: If the folder holds no policy.
-            ValueError: If the files are damaged or of another format.
+            ValueError: If the files are damaged or of another format, or a number is infinite or
+                undefined.
         """
         card = PolicyCard.load(folder / "policy.json")
         tensors, header = load_tensors(folder / "weights.safetensors")
+        if wrong := _undefined(tensors):
+            raise ValueError(
+                f"{folder / 'weights.safetensors'} is not finite in {wrong}; train the policy "
+                "again."
+            )
         try:
             for role, count in header["networks"].items():
                 for name in (f"{role}.{n}.{p}" for n in range(count) for p in ("weight", "bias")):
@@ -267,6 +284,11 @@ class Policy:
         if "actor" not in networks:
             raise KeyError("actor")
         return cls(card, networks, frames, proximity_scaling)
+
+
+def _undefined(tensors: Mapping[str, Tensor]) -> str:
+    """Names of the tensors with infinite or undefined numbers."""
+    return ", ".join(name for name, tensor in tensors.items() if not tensor.isfinite().all())
 
 
 def _copy(tensor: Tensor) -> Tensor:

@@ -14,6 +14,9 @@ from components.algorithms.parts.training import train_policies
 from components.core.random_streams import lane_key
 from components.data.batches import LaneData
 from components.models import MODELS
+from components.policies.policy import Policy
+from components.training.divergence import DivergedError
+from components.training.loop import Curves
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
@@ -23,6 +26,7 @@ from flows.tasks.artifacts import (
     write_curves,
     write_numbers,
 )
+from flows.tasks.divergence import diverged
 from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["train"]
@@ -46,18 +50,26 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
             for name in algorithm.needs
         },
     )
-    policies, curves = train_policies(
-        algorithm,
-        algorithm.learner(config, inputs),
-        datasets,
-        [job.key for job in jobs],
-        updates=config.updates,
-        snapshots=jobs[0].config["snapshots"],
-        work=context.work,
-        progress=context.progress,
-        device=torch.device(context.device),
-    )
+    policies: Sequence[Policy | DivergedError]
+    try:
+        policies, curves = train_policies(
+            algorithm,
+            algorithm.learner(config, inputs),
+            datasets,
+            [job.key for job in jobs],
+            updates=config.updates,
+            snapshots=jobs[0].config["snapshots"],
+            work=context.work,
+            progress=context.progress,
+            device=torch.device(context.device),
+        )
+    except DivergedError as error:
+        policies, curves = [error] * len(jobs), Curves()
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
+        if isinstance(policy, DivergedError):
+            section, settings = f"algorithm.{algorithm.name}", job.config["settings"]
+            job.fail(diverged(f"The training of {job.name}", policy, section, settings))
+            continue
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
         write_curves(job.out / "curves.npz", curves.of_lane(lane))

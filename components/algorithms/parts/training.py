@@ -1,28 +1,35 @@
 """Train a stack of policies: the budget cut into snapshots, resumable at any moment.
 
 Training emits snapshots, policies at equally spaced points of the budget, and never evaluates them.
-A lane whose loss becomes infinite or undefined ends there: the other lanes go on, its remaining
-snapshots repeat its last finite policy, and the policy's card says when it ended. Diverging values
-that are still finite do not end a lane: such policies are kept and evaluated like all others.
+A lane ends where its loss becomes infinite or undefined, or a weight of its policy, or an action of
+it in states of the log: the other lanes go on, its remaining snapshots repeat its last finite one,
+and the policy's card says when it ended. Whatever is stored is finite; a lane that ends before its
+first snapshot leaves nothing. Diverging values that are still finite do not end a lane: such
+policies are kept and evaluated like all others.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm
 from components.algorithms.parts.learner import PolicyLearner
 from components.data.dataset import OfflineDataset
+from components.data.history import gather_history
 from components.policies.policy import Policy, PolicyCard
 from components.training.cuda_graphs import graphed
+from components.training.divergence import DivergedError
 from components.training.loop import Curves, TrainingLoop
 
 __all__ = ["snapshot_steps", "train_policies"]
 
 CPU = torch.device("cpu")
+_LOOKED_AT: Final = 64  # states of the log in which every snapshot must act finitely
 
 
 def snapshot_steps(updates: int, snapshots: int) -> tuple[int, ...]:
@@ -50,7 +57,7 @@ def train_policies(
     progress: Callable[[float], None],
     save_every: float = 20.0,
     device: torch.device = CPU,
-) -> tuple[list[Policy], Curves]:
+) -> tuple[list[Policy | DivergedError], Curves]:
     """Train all lanes and collect their snapshots.
 
     Args:
@@ -67,7 +74,10 @@ def train_policies(
         device: The learner's.
 
     Returns:
-        Per lane a policy stack of S snapshots; the learning curves.
+        Per lane a policy stack of S snapshots, or why there is none; the learning curves.
+
+    Raises:
+        DivergedError: If a policy is not finite before its first update.
     """
     before = learner.pretraining
     everything = before + updates
@@ -86,15 +96,31 @@ def train_policies(
         for data in datasets
     ]
 
+    seen = [_logged_histories(data) for data in datasets]
+
     def keep_snapshot(done: int, curves: Curves) -> bool:
         if done in folders:
-            policy = learner.policy(cards[0])
+            stack = learner.policy(cards[0])
             for lane, (member, card) in enumerate(zip(members, cards, strict=True)):
+                own = replace(stack.card, dataset=card.dataset, steps=(done,))
+                policy = stack.lane(lane, own)
+                if not _sound(policy, seen[lane]):
+                    policy = stand_in(done, member, own)
                 folder = folders[done] / member
                 folder.mkdir(parents=True, exist_ok=True)
-                own = replace(policy.card, dataset=card.dataset, steps=(done,))
-                policy.lane(lane, own).save(folder)
+                policy.save(folder)
         return False
+
+    def stand_in(done: int, member: str, card: PolicyCard) -> Policy:
+        """The snapshot before, as that of a lane that has ended."""
+        if done == 0:
+            raise DivergedError(
+                f"before its first update the policy of {card.algorithm} on {card.dataset} was "
+                "not finite"
+            )
+        former = Policy.load(folders[max(step for step in folders if step < done)] / member)
+        ended_at = done if former.card.ended_at is None else former.card.ended_at
+        return replace(former, card=replace(former.card, steps=(done,), ended_at=ended_at))
 
     log_every = max(1, min(100, updates // 100))
     loop = TrainingLoop(
@@ -117,18 +143,42 @@ def train_policies(
     return policies, curves
 
 
-def _one_stack(snapshots: Sequence[Policy], ended_at: int | None) -> Policy:
-    """Snapshots after the first as one policy stack; broken ones repeat the last finite one.
+def _logged_histories(dataset: OfflineDataset) -> Tensor:
+    """Observations ``[1, B, H, F]`` of transitions all over a log, the first and last included."""
+    some = np.unique(np.linspace(0, dataset.transitions - 1, _LOOKED_AT).round().astype(np.int64))
+    history = dataset.card.history
+    rows, first = dataset.frame_rows()[some], dataset.first_rows()[some]
+    found = torch.from_numpy(np.array(gather_history(dataset.frames, rows, first, history)))
+    return found.view(1, len(some), history, -1)
+
+
+def _sound(policy: Policy, seen: Tensor) -> bool:
+    """Whether all numbers of a policy are finite, and its actions at histories ``[1, B, H, F]``."""
+    if not bool(policy.finite.all()):
+        return False
+    shape, card = seen.shape[:2], policy.card
+    proximity = torch.linspace(0.0, 1.0, shape[1])[None] if card.takes_proximity else None
+    noise = torch.zeros(*shape, card.candidates, card.noise) if card.candidates else None
+    return bool(policy.act(seen, proximity, noise).isfinite().all())
+
+
+def _one_stack(snapshots: Sequence[Policy], ended_at: int | None) -> Policy | DivergedError:
+    """Snapshots after the first as one policy stack, or why there is none.
 
     A lane whose loss has become infinite or undefined has ended, whatever its later numbers are;
-    where it ended before the first snapshot, the untrained policy, given first, is taken.
+    snapshots after that repeat the one before. Where it ended before the first snapshot, there is
+    nothing to repeat: the untrained policy, given first, is no result of training.
     """
+    ends = [ended_at, *(snapshot.card.ended_at for snapshot in snapshots)]
+    ended_at = min((end for end in ends if end is not None), default=None)
     kept = [snapshots[0]]
     for snapshot in snapshots[1:]:
         ended = ended_at is not None and snapshot.card.steps[0] >= ended_at
-        broken = ended or not bool(snapshot.finite)
-        if broken and ended_at is None:
-            ended_at = snapshot.card.steps[0]
-        kept.append(kept[-1] if broken else snapshot)
+        kept.append(kept[-1] if ended else snapshot)
+    if kept[1] is snapshots[0]:
+        return DivergedError(
+            f"its loss or its policy was no longer finite at update {ended_at}, before the first "
+            f"snapshot at update {snapshots[1].card.steps[0]}"
+        )
     steps = tuple(snapshot.card.steps[0] for snapshot in snapshots[1:])
-    return Policy.concatenate(replace(kept[0].card, steps=steps, ended_at=ended_at), kept[1:])
+    return Policy.concatenate(replace(kept[1].card, steps=steps, ended_at=ended_at), kept[1:])

@@ -178,3 +178,19 @@ def test_infinite_and_undefined_weights_are_told_per_policy(policy: Policy) -> N
     assert policy.finite.tolist() == [True, True]
     policy.layers[1][1][1, 0, 2] = torch.nan
     assert policy.finite.tolist() == [True, False]
+
+
+def test_undefined_policies_are_neither_written_nor_read(
+    policy: Policy, folder: Path, tmp_path: Path
+) -> None:
+    policy.layers[1][1][1, 0, 2] = torch.inf
+    (tmp_path / "new").mkdir()
+    with pytest.raises(ValueError, match=r"^A policy of test on toy is not finite in actor\.1\.bi"):
+        policy.save(tmp_path / "new")
+    assert list((tmp_path / "new").iterdir()) == []
+    path = folder / "weights.safetensors"
+    tensors, header = load_tensors(path)
+    tensors["frames.scale"][0, 1] = torch.nan
+    save_tensors(path, tensors, header)
+    with pytest.raises(ValueError, match=r"safetensors is not finite in frames\.scale; train the"):
+        Policy.load(folder)

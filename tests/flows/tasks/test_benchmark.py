@@ -13,6 +13,7 @@ from components.core.tensors import load_tensors
 from components.data.dataset import OfflineDataset
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy
+from components.training.divergence import DivergedError
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.task import Job, TaskContext, load_task
@@ -131,6 +132,40 @@ def test_policy_training(plan: Plan, root: Path) -> None:
         with np.load(folder / "curves.npz", allow_pickle=False) as curves:
             assert curves["policy/loss/step"].tolist() == list(range(1, 9))
     assert not np.array_equal(*weights)
+
+
+def changed(plan: Plan, name: str, **settings: Any) -> Node:
+    """A node with some other settings."""
+    [node] = [node for node in plan if node.name == name]
+    return replace(node, config=node.config | {"settings": node.config["settings"] | settings})
+
+
+def failure(node: Node, root: Path, where: str) -> str:
+    """What a node says that failed; it has stored nothing else."""
+    [file] = (root / where / node.key).iterdir()
+    assert file.name == "failure.txt"
+    return file.read_text(encoding="utf-8")
+
+
+def test_a_policy_that_diverges_fails_and_its_neighbour_does_not(
+    plan: Plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes = [changed(plan, f"td3_bc/bad-0.4/seed{s}", learning_rate=1e30) for s in (0, 3)]
+    run(nodes, root, "diverged")
+    for node in nodes:
+        said = failure(node, root, "diverged")
+        assert said.startswith(f"The training of {node.name} diverged: its loss or its policy was")
+        assert said.endswith("; lower algorithm.td3_bc.learning_rate (now 1e+30).")
+        assert "\n" not in said
+
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise DivergedError("it never began")
+
+    monkeypatch.setattr("flows.tasks.policy_training.train_policies", refuse)
+    run(nodes[:1], root, "refused")
+    assert failure(nodes[0], root, "refused").startswith(
+        "The training of td3_bc/bad-0.4/seed0 diverged: it never began; lower"
+    )
 
 
 @pytest.mark.parametrize("algorithm", ["lion", "td3_bc"])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,10 +14,11 @@ from components.algorithms import ALGORITHMS
 from components.algorithms.parts.learner import PolicyLearner
 from components.algorithms.parts.training import snapshot_steps, train_policies
 from components.policies.policy import Policy
+from components.training.divergence import DivergedError
 from components.training.loop import Curves
 from tests.components.algorithms.stacks import graded, learner
 from tests.components.interruption import KilledError, dying, lanes
-from tests.components.synthetic import make_log, policy_card
+from tests.components.synthetic import make_log, relabelled
 
 LOGS = {"a": make_log("toy"), "b": make_log("toy"), "c": make_log("other", seed=3)}
 SEEDS = {"a": 0, "b": 1, "c": 0}
@@ -145,17 +147,73 @@ class Breaking:
         return metrics
 
 
-@pytest.mark.parametrize(("at", "stands_in"), [(13, 1), (2, None)])
-def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
-    at: int, stands_in: int | None, tmp_path: Path
-) -> None:
+def broken(at: int, work: Path) -> tuple[list[Policy | DivergedError], Curves]:
+    """Three lanes, the second of which breaks."""
     logs = [LOGS[member] for member in "abc"]
-    made = learner("ddpg", logs, [0, 1, 0])
-    untrained = made.policy(policy_card(logs[1])).layers[0][0][1].clone()
+    return train_policies(
+        ALGORITHMS["ddpg"],
+        Breaking(learner("ddpg", logs, [0, 1, 0]), at),
+        logs,
+        list("abc"),
+        updates=UPDATES,
+        snapshots=SNAPSHOTS,
+        work=work,
+        progress=lambda fraction: None,
+    )
+
+
+def assert_all_finite(work: Path) -> None:
+    """Whatever was stored on the way is finite."""
+    stored = sorted(work.glob("snapshot-*/*"))
+    assert len(stored) == 3 * (SNAPSHOTS + 1)
+    assert all(Policy.load(folder).finite.all() for folder in stored)
+
+
+def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(tmp_path: Path) -> None:
     expected, _ = uninterrupted("ddpg")
+    policies, curves = broken(13, tmp_path)
+    assert_same([policies[0], policies[2]], [expected[0], expected[2]])
+    # The next update's loss is undefined, and the curves tell.
+    assert curves.ended_at(1) == policies[1].card.ended_at == 15
+    assert [p.card.ended_at for p in policies] == [None, 15, None]
+    weight = policies[1].layers[0][0]
+    assert torch.isfinite(weight).all()
+    for number in range(1, SNAPSHOTS):  # the second is the last finite one
+        assert torch.equal(weight[number], expected[1].layers[0][0][1])
+    # The curves of the lane stop before that, the others' do not.
+    assert max(steps[-1] for steps, _ in curves.of_lane(1).values()) == 14
+    assert max(steps[-1] for steps, _ in curves.of_lane(0).values()) == UPDATES
+    assert_all_finite(tmp_path)
+
+
+def test_a_lane_that_breaks_before_its_first_snapshot_leaves_nothing(tmp_path: Path) -> None:
+    expected, _ = uninterrupted("ddpg")
+    policies, _ = broken(2, tmp_path)
+    assert_same([policies[0], policies[2]], [expected[0], expected[2]])
+    assert isinstance(policies[1], DivergedError)
+    assert str(policies[1]) == (
+        "its loss or its policy was no longer finite at update 4, before the first snapshot at "
+        "update 6"
+    )
+    assert_all_finite(tmp_path)
+
+
+def test_a_policy_that_acts_undefined_ends_although_loss_and_weights_are_finite(
+    tmp_path: Path,
+) -> None:
+    class Growing(Breaking):
+        def update(self, step: int) -> dict[str, torch.Tensor]:
+            metrics = self._made.update(step)
+            with torch.no_grad():  # infinite hidden units that cancel: undefined actions
+                for parameter in self._made._actor.parameters():
+                    parameter[1] = 3e38
+                    parameter[1][::2] = -3e38
+            return {name: value.nan_to_num() for name, value in metrics.items()}
+
+    logs = [LOGS[member] for member in "abc"]
     policies, curves = train_policies(
         ALGORITHMS["ddpg"],
-        Breaking(made, at),
+        Growing(learner("ddpg", logs, [0, 1, 0]), 0),
         logs,
         list("abc"),
         updates=UPDATES,
@@ -163,18 +221,26 @@ def test_a_lane_that_breaks_ends_and_its_neighbours_go_on(
         work=tmp_path,
         progress=lambda fraction: None,
     )
-    assert_same([policies[0], policies[2]], [expected[0], expected[2]])
-    # The next update's loss is undefined, and the curves tell.
-    assert curves.ended_at(1) == policies[1].card.ended_at == at + 2
-    assert [p.card.ended_at for p in policies] == [None, at + 2, None]
-    weight = policies[1].layers[0][0]
-    assert torch.isfinite(weight).all()
-    kept = untrained if stands_in is None else expected[1].layers[0][0][stands_in]
-    for number in range(0 if stands_in is None else stands_in, SNAPSHOTS):
-        assert torch.equal(weight[number], kept)
-    # The curves of the lane stop before that, the others' do not.
-    assert max(steps[-1] for steps, _ in curves.of_lane(1).values()) == at + 1
-    assert max(steps[-1] for steps, _ in curves.of_lane(0).values()) == UPDATES
+    assert curves.ended_at(1) is None
+    assert isinstance(policies[1], DivergedError)
+    assert_all_finite(tmp_path)
+
+
+def test_a_policy_that_is_not_finite_at_the_start_is_refused(tmp_path: Path) -> None:
+    log = make_log()
+    poisoned = relabelled(log, frames=np.where(log.frames > 99.0, np.nan, log.frames))
+    assert np.isnan(poisoned.frames).any()
+    with pytest.raises(DivergedError, match=r"^before its first update the policy of ddpg on toy"):
+        train_policies(
+            ALGORITHMS["ddpg"],
+            learner("ddpg", [poisoned], [0]),
+            [poisoned],
+            ["a"],
+            updates=UPDATES,
+            snapshots=SNAPSHOTS,
+            work=tmp_path,
+            progress=lambda fraction: None,
+        )
 
 
 def test_snapshot_steps() -> None:
