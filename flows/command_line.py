@@ -15,12 +15,14 @@ from flows.configuration.settings import ALIASES, Settings, SettingsError, load_
 from flows.configuration.shown import settings_yaml
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
+from flows.pipeline.executors.processors import available_cpus, check_threads
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.schedule import form_groups
+from flows.pipeline.signals import ending_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.file_tracker import FileTracker
@@ -100,6 +102,8 @@ def run_door(
 ) -> None:
     """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
 
+    SIGTERM and SIGHUP end it as Ctrl-C does, with 143 and 129.
+
     Args:
         door: Its name.
         help_text: Its help.
@@ -111,12 +115,8 @@ def run_door(
         print(help_text)
         sys.exit(0)
     try:
-        settings = load(arguments)
-    except SettingsError as error:
-        print(f"{door}: {error}", file=sys.stderr)
-        sys.exit(2)
-    try:
-        code = body(settings)
+        with ending_signals():
+            code = body(load(arguments))
     except SettingsError as error:
         print(f"{door}: {error}", file=sys.stderr)
         code = 2
@@ -125,7 +125,7 @@ def run_door(
         code = 1
     except KeyboardInterrupt:
         print(f"{door}: interrupted; give the same command again to continue.", file=sys.stderr)
-        code = 130
+        code = exit_code()
     sys.exit(code)
 
 
@@ -134,6 +134,7 @@ def make_executor(settings: Settings) -> Executor:
 
     Raises:
         ValueError: There is no such device here.
+        PipelineError: A task would take more processors than there are.
     """
     runner = settings.runner
     device = runner.device
@@ -142,6 +143,7 @@ def make_executor(settings: Settings) -> Executor:
     elif device == "cuda" and not torch.cuda.is_available():
         raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
     if runner.executor == "serial":
+        check_threads(runner.threads, min(available_cpus(), runner.cpus or available_cpus()))
         return SerialExecutor(device=device, threads=runner.threads)
     return RayExecutor(
         cpus=runner.cpus,
@@ -149,6 +151,7 @@ def make_executor(settings: Settings) -> Executor:
         device=device,
         gpus=torch.cuda.device_count() if device == "cuda" else 0,
         gpus_per_task=runner.gpu_share,
+        root=settings.store.absolute(),
     )
 
 
@@ -226,10 +229,15 @@ def run_sweep(
     metrics: Metrics = {}
     try:
         outcome = run_plan(plan, store, tracker, display, executor=executor, command=command)
-        files, metrics = report(outcome)
+        if outcome.may_take_time:
+            files, metrics = report(outcome)
         status = outcome.status
+    except KeyboardInterrupt:
+        status = "KILLED"
+        raise
     finally:
-        tracker.close(status, files, metrics)
+        with ignored_signals():
+            tracker.close(status, files, metrics)
     _name_missing(display, plan, outcome)
     return outcome.exit_code
 

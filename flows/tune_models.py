@@ -6,13 +6,13 @@ first; the search itself, :mod:`flows.tuning`, imports no environment.
 
 import shlex
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
 from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
+from flows.pipeline.signals import ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, known_nodes
 from flows.planning.benchmark import check_model, data_plan, sweep_name
@@ -83,6 +83,7 @@ def _run(settings: Settings) -> int:
         check_model(settings, specification.dataset, specification.start)
     plan = data_plan(settings)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
+    executor = make_executor(settings)
     if settings.dry_run:
         for study, ended in ended_trials(journal_path(settings.store), found).items():
             print(f"{study}: {ended} of {settings.tuning.trials} trials have ended")
@@ -129,18 +130,21 @@ def _run(settings: Settings) -> int:
             settings.tuning.trials,
             store,
             tracker,
-            make_executor(settings),
+            executor,
             console.note,
             finished,
             record,
         )
         status = outcome.status
+    except KeyboardInterrupt:
+        status = "KILLED"
+        raise
     finally:
-        with suppress(KeyboardInterrupt):
+        with ignored_signals():
             tracker.close(status, files, best_losses(studies))
     for line in comparisons.values():
         print(line)
-    _explain(console, command, outcome.interrupted, outcome.failed, outcome.unrecorded)
+    _explain(console, command, bool(outcome.interrupted), outcome.failed, outcome.unrecorded)
     return outcome.exit_code
 
 

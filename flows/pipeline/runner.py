@@ -4,11 +4,8 @@ The driver may be killed at any line. A node is finished when its artifact folde
 else, such as the tracker's record, follows from that and is completed at the next start.
 """
 
-import contextlib
 import signal
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from flows.pipeline.errors import TrackingError
@@ -17,6 +14,7 @@ from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.run_state import RunState
 from flows.pipeline.schedule import Group, form_groups
+from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
 from flows.pipeline.worker import GroupCall, GroupResult
@@ -36,7 +34,7 @@ class Outcome:
         reused: Keys that were finished before.
         failed: Traceback or reason by key.
         skipped: By key of a node not run, the key of the failed node it needs.
-        interrupted: Whether Ctrl-C was pressed.
+        interrupted: The exit code for the signal that ended the run, such as Ctrl-C; 0 for none.
         unrecorded: Why the tracker lacks finished nodes; empty if it lacks none.
     """
 
@@ -44,7 +42,7 @@ class Outcome:
     reused: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
     skipped: dict[str, str] = field(default_factory=dict)
-    interrupted: bool = False
+    interrupted: int = 0
     unrecorded: str = ""
 
     @property
@@ -60,10 +58,15 @@ class Outcome:
         return "FINISHED" if self.complete else "FAILED"
 
     @property
+    def may_take_time(self) -> bool:
+        """Whether a report may be written: who sends SIGTERM or SIGHUP soon sends SIGKILL."""
+        return self.interrupted in (0, 128 + signal.SIGINT)
+
+    @property
     def exit_code(self) -> int:
-        """0 if all is finished and recorded, 130 after Ctrl-C, else 1."""
+        """0 if all is finished and recorded, 130 after Ctrl-C, 143 after SIGTERM, else 1."""
         if self.interrupted:
-            return 130
+            return self.interrupted
         return 0 if self.complete and not self.unrecorded else 1
 
 
@@ -140,9 +143,9 @@ class _Run:
                 self._step()
             self._retry_tracker(last=True)
         except KeyboardInterrupt:
-            self.outcome.interrupted = True
+            self.outcome.interrupted = exit_code()
         finally:
-            with _no_interrupts():
+            with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
                 self.display.stop(self.run_state)
         if self.unrecorded:
@@ -247,16 +250,3 @@ class _Run:
         self.outcome.unrecorded = ""
         for node, reason in again:
             self._record(node, reason)
-
-
-@contextlib.contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Ignores Ctrl-C, so that the tidying up finishes."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, former)

@@ -112,7 +112,7 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
                 _compute(store, call, pending, result, watch)
         unmade = {*result.failed, *result.stopped}
         result.finished = [key for key in keys if key not in unmade]
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
         reason = _reason(error, store)
@@ -150,7 +150,7 @@ def _compute(
         # A reused process keeps the thread count of its first task otherwise.
         sys.modules["torch"].set_num_threads(call.threads)
     context.progress(0.0)
-    started, used = time.time(), _cpu_seconds()
+    started, clock, used = time.time(), time.monotonic(), _cpu_seconds()
     try:
         task(jobs, context)
     except StopRequested:
@@ -160,6 +160,7 @@ def _compute(
     usage = {
         "started": started,
         "finished": time.time(),
+        "wall_seconds": time.monotonic() - clock,  # the two times also change with the clock
         "cpu_seconds": _cpu_seconds() - used,
         "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "resumed": work.resumed,
@@ -202,11 +203,11 @@ def _describe(
     share: float,
 ) -> None:
     """Write the record of an artifact; `content` digests what was read, by role."""
-    wall = usage["finished"] - usage["started"]
+    wall = usage["wall_seconds"]
     described = {name: node[name] for name in ("key", "name", "component", "version", "config")}
     described |= {name: node[name] for name in ("inputs", "tags", "cost")}
     described |= {"content": dict(content)} | dict(usage)
-    described |= {"wall_seconds": wall, "share": share, "seconds": wall * share}
+    described |= {"share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
     described |= {"software": software(usage["device"])}
     seal(out, described)

@@ -5,7 +5,6 @@ of any earlier run, and a benchmark finds those of the search. The next trial is
 a slot is free, and all results up to then enter the choice.
 """
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import Node, digest
+from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
 from flows.tuning.study import Study
@@ -37,12 +37,12 @@ class SearchOutcome:
 
     Attributes:
         failed: Names of studies of which no trial could be evaluated.
-        interrupted: Whether Ctrl-C was pressed.
+        interrupted: The exit code for the signal that ended the search; 0 for none.
         unrecorded: Why the tracker lacks trials; empty if it lacks none.
     """
 
     failed: list[str] = field(default_factory=list)
-    interrupted: bool = False
+    interrupted: int = 0
     unrecorded: str = ""
 
     @property
@@ -52,8 +52,8 @@ class SearchOutcome:
 
     @property
     def exit_code(self) -> int:
-        """130 after Ctrl-C, 1 if a study has no complete trial, else 0."""
-        return 130 if self.interrupted else int(bool(self.failed))
+        """130 after Ctrl-C, 143 after SIGTERM, 1 if a study has no complete trial, else 0."""
+        return self.interrupted or int(bool(self.failed))
 
 
 @dataclass
@@ -155,10 +155,10 @@ class _Search:
                 self._check_running()
                 self._sign_of_life()
         except KeyboardInterrupt:
-            self.outcome.interrupted = True
+            self.outcome.interrupted = exit_code()
         finally:
-            self.executor.stop()
-            with contextlib.suppress(KeyboardInterrupt):
+            with ignored_signals() if self.outcome.interrupted else deferred_signals():
+                self.executor.stop()
                 self.queue.write()
             self.outcome.unrecorded = self.queue.unrecorded
         for study in self.studies:

@@ -2,28 +2,26 @@
 
 Ray is only asked to start a function in another process and to say when it ended. Whether a group
 is started again after its worker died is decided here, so that it can be counted, shown and
-limited: Ray's own retries are silent, and those after lack of memory never end.
+limited: Ray's own retries are silent, and those after lack of memory never end. A death counts
+against a group only while Ray itself lives.
 """
 
 import contextlib
 import logging
 import os
-import secrets
-import socket
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from flows.pipeline.errors import PipelineError
+from flows.pipeline.executors.cluster import Cluster, check_address
+from flows.pipeline.executors.local_ray import LocalRay, set_environment
+from flows.pipeline.executors.machines import check_machines
+from flows.pipeline.executors.processors import available_cpus, check_threads
+from flows.pipeline.signals import deferred_signals
 from flows.pipeline.worker import GroupCall, GroupResult, run_group
 
-__all__ = ["RayExecutor", "available_cpus"]
-
-_OBJECT_STORE_BYTES = 200 * 2**20  # results are a few keys; artifacts go through the disk
-
-
-def available_cpus() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+__all__ = ["RayExecutor"]
 
 
 class RayExecutor:
@@ -38,6 +36,7 @@ class RayExecutor:
         gpus: int = 1,
         gpus_per_task: float = 0.5,
         retries: int = 3,
+        root: Path | None = None,
     ) -> None:
         """Describes the cluster; nothing starts before `start`.
 
@@ -48,13 +47,23 @@ class RayExecutor:
             gpus: GPUs of this computer, if the device is "cuda". A cluster knows its own.
             gpus_per_task: Share of a GPU that one group occupies if the device is "cuda".
             retries: How often a group is started again after its worker died.
+            root: Folder of the store; every machine of a cluster is asked whether it sees it.
+
+        Raises:
+            PipelineError: a task would take more processors than there are.
         """
         self.threads = threads
         self.device = device
         self._cpus = cpus or available_cpus()
+        self._address = os.environ.get("RAY_ADDRESS")
+        if not self._address:
+            check_threads(threads, self._cpus)
         self._gpus = gpus_per_task if device == "cuda" else 0.0
         self.slots = max(1, _places(self._cpus, threads, gpus, self._gpus))
         self._retries = retries
+        self._root = root
+        self._ray: Any = None
+        self._place: LocalRay | Cluster | None = None
         self._running: dict[Any, tuple[GroupCall, int]] = {}
         self._notify: Callable[[str], None] = lambda text: None
 
@@ -66,35 +75,40 @@ class RayExecutor:
         Nothing calls `watch`: the work goes on in other processes while `wait` returns.
 
         Raises:
-            PipelineError: Ray cannot be started or reached, or has too few processors.
+            PipelineError: Ray cannot be started or reached, has too few processors, or a machine
+                of the cluster cannot do the work.
         """
         self._notify = notify
-        address = os.environ.get("RAY_ADDRESS")
-        _set_ray_environment(local=not address)
-        _check_address(address)
+        address = self._address
+        set_environment(local=not address)
+        if address:
+            check_address(address)
         import ray  # reads its environment at import, and costs a second
 
-        self._ray = ray
-        local: dict[str, Any] = {"num_cpus": self._cpus, "object_store_memory": _OBJECT_STORE_BYTES}
-        try:
-            ray.init(
-                address=address or "local",
-                include_dashboard=None if address else False,
-                log_to_driver=False,
-                logging_level=logging.ERROR,
-                **({} if address else local),
-            )
-        except Exception as error:
-            where = f"the cluster at RAY_ADDRESS={address}" if address else "Ray on this computer"
-            raise PipelineError(
-                f"Could not reach {where} ({_first_line(error)}): "
-                "start it, unset RAY_ADDRESS, or set runner.executor=serial."
-            ) from error
-        _silence(ray)
+        place = Cluster(address) if address else LocalRay(self._cpus)
+        self._place = place
+        # An interrupt in the middle of Ray's start has crashed in native code.
+        with deferred_signals():
+            self._ray = ray
+            _silence(ray)
+            try:
+                ray.init(log_to_driver=False, logging_level=logging.ERROR, **place.options)
+            except Exception as error:
+                where = "Ray on this computer"
+                if address:
+                    where = f"the cluster at RAY_ADDRESS={address}"
+                raise PipelineError(
+                    f"Could not reach {where} ({_first_line(error)}): "
+                    "start it, unset RAY_ADDRESS, or set runner.executor=serial."
+                ) from error
         if address:
             resources = ray.cluster_resources()
+            biggest = max(int(n["Resources"].get("CPU", 0)) for n in ray.nodes() if n["Alive"])
+            check_threads(self.threads, biggest)
             cpus, gpus = (int(resources.get(name, 0)) for name in ("CPU", "GPU"))
             self.slots = _places(cpus, self.threads, gpus, self._gpus)
+            if self._root is not None:
+                check_machines(ray, self._root)
         if self.slots < 1 or (self._gpus and not ray.cluster_resources().get("GPU")):
             raise PipelineError(
                 f"Ray offers no place for a task with {self.threads} processors on "
@@ -106,21 +120,31 @@ class RayExecutor:
 
     def submit(self, call: GroupCall) -> None:
         """Hands a group to Ray."""
-        self._running[self._remote.options(name=call.title).remote(call)] = (call, 0)
+        self._begin(call, 0)
+
+    def _begin(self, call: GroupCall, deaths: int) -> None:
+        try:
+            reference = self._remote.options(name=call.title).remote(call)
+        except self._ray.exceptions.RayError as error:
+            raise _gone(_first_line(error)) from error
+        self._running[reference] = call, deaths
 
     def wait(self, timeout: float) -> list[GroupResult]:
-        """Groups that ended; those whose worker died are started again instead."""
+        """Groups that ended; those whose worker died are started again instead.
+
+        Raises:
+            PipelineError: Ray is gone.
+        """
         if not self._running:
             return []
+        self._check_ray()
         try:
             ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=timeout)
             if ready:
                 everything = list(self._running)
                 ready, _ = self._ray.wait(everything, num_returns=len(everything), timeout=0)
         except self._ray.exceptions.RayError as error:
-            raise PipelineError(
-                f"Ray is gone ({_first_line(error)}): give the same command again to continue."
-            ) from error
+            raise _gone(_first_line(error)) from error
         results = []
         for reference in ready:
             call, deaths = self._running.pop(reference)
@@ -140,16 +164,20 @@ class RayExecutor:
         except exceptions.TaskCancelledError:
             raise KeyboardInterrupt from None
         except exceptions.RayError as error:
+            self._check_ray(patience=0.5)
+            if isinstance(error, exceptions.NodeDiedError | exceptions.LocalRayletDiedError):
+                if isinstance(self._place, LocalRay):
+                    raise _gone(_first_line(error)) from error
+                self._notify(f"The machine of {call.title} is gone; starting again elsewhere.")
+                self._begin(call, deaths)
+                return None
             memory = isinstance(error, exceptions.OutOfMemoryError)
             why = "ran out of memory" if memory else "died"
             if deaths < (1 if memory else self._retries):
                 self._notify(
                     f"The worker of {call.title} {why}; starting again from the checkpoint."
                 )
-                self._running[self._remote.options(name=call.title).remote(call)] = (
-                    call,
-                    deaths + 1,
-                )
+                self._begin(call, deaths + 1)
                 return None
             remedy = (
                 "lower runner.cpus, so that fewer tasks run at once, or the batch"
@@ -162,19 +190,37 @@ class RayExecutor:
                 f"The worker of {call.title} {why} {deaths + 1} times: {remedy}.",
             )
 
+    def _check_ray(self, patience: float = 0.0) -> None:
+        why = self._place.lost(self._ray, patience) if self._place else ""
+        if why:
+            raise _gone(why)
+
     def stop(self) -> None:
         """Interrupts running tasks and leaves Ray."""
-        ray = getattr(self, "_ray", None)
-        if ray is None:
+        ray, place = self._ray, self._place
+        if place is None:
             return
+        self._ray = self._place = None
+        if ray is not None:
+            if place.lost(ray):
+                place.kill(ray)
+            else:
+                self._interrupt(ray)
+            ray.shutdown()
+        self._running.clear()
+        place.close()
+
+    def _interrupt(self, ray: Any) -> None:
         for reference in self._running:
             with contextlib.suppress(Exception):
                 ray.cancel(reference)
         if self._running:
             with contextlib.suppress(Exception):
                 ray.wait(list(self._running), num_returns=len(self._running), timeout=2)
-        self._running.clear()
-        ray.shutdown()
+
+
+def _gone(why: str) -> PipelineError:
+    return PipelineError(f"Ray is gone ({why}): give the same command again to continue.")
 
 
 def _places(cpus: int, threads: int, gpus: int, share: float) -> int:
@@ -194,36 +240,12 @@ def _first_line(error: BaseException) -> str:
     return next(iter(str(error).strip().splitlines()), type(error).__name__).rstrip(".")
 
 
-def _check_address(address: str | None) -> None:
-    """Finds a wrong address in seconds, where Ray itself would try for minutes.
-
-    Raises:
-        PipelineError: nothing listens there.
-    """
-    host, colon, port = (address or "").rpartition("://")[2].rpartition(":")
-    if not colon or not port.isdigit():
-        return  # none, "auto" or a form that only Ray knows
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
-    except OSError as error:
-        raise PipelineError(
-            f"Nothing answers at RAY_ADDRESS={address} ({error.strerror or error}): "
-            "start the cluster, correct the address, or unset it to use this computer."
-        ) from error
-
-
-def _set_ray_environment(*, local: bool) -> None:
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_task_oom_retries", "1")
-    # A fresh secret per run: works with a home folder that cannot be written, and prints nothing.
-    if local and "RAY_AUTH_MODE" not in os.environ and "RAY_AUTH_TOKEN" not in os.environ:
-        os.environ["RAY_AUTH_MODE"] = "token"
-        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(16)
-
-
 def _silence(ray: Any) -> None:
     # Deaths of workers are announced in a block of text on stdout that no option turns off; we
     # report them ourselves. Should Ray rename the function, the text comes back, nothing else.
     module = ray._private.worker
     if hasattr(module, "print_to_stdstream"):
         module.print_to_stdstream = lambda *args, **kwargs: None
+    # Ray's own handler of SIGTERM ends the process in native code; the signal is ours.
+    if hasattr(ray._private.utils, "set_sigterm_handler"):
+        ray._private.utils.set_sigterm_handler = lambda handler: None
