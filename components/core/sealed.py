@@ -60,18 +60,20 @@ def read_record(folder: Path) -> dict[str, Any]:
     try:
         record = json.loads(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingFileError(path, "is missing", REMEDY) from error
+        raise MissingFileError(f"{path} is missing", path, REMEDY) from error
     except OSError as error:
-        raise DamagedFileError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+        raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, REMEDY) from error
     except ValueError as error:
-        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, REMEDY) from error
     if not isinstance(record, dict):
-        raise DamagedFileError(path, "is damaged (it is no JSON object)", REMEDY)
+        raise DamagedFileError(f"{path} is damaged (it is no JSON object)", path, REMEDY)
     if _FILES in record or _DIGEST in record:
         written = record.get(_DIGEST)
         rest = {name: value for name, value in record.items() if name != _DIGEST}
         if _FILES not in record or written != _digest(rest):
-            raise DamagedFileError(path, "is damaged (its content is not what was written)", REMEDY)
+            raise DamagedFileError(
+                f"{path} is damaged (its content is not what was written)", path, REMEDY
+            )
     return record
 
 
@@ -126,9 +128,9 @@ def read_sealed_json(folder: Path, name: str) -> Any:
     try:
         return json.loads(path.read_bytes())
     except FileNotFoundError as error:
-        raise MissingFileError(path, "is missing", REMEDY) from error
+        raise MissingFileError(f"{path} is missing", path, REMEDY) from error
     except ValueError as error:
-        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, REMEDY) from error
 
 
 def _digest(value: Any) -> str:

@@ -1,6 +1,5 @@
 """Computes a group of nodes in the present process, which an executor has chosen."""
 
-import importlib.metadata
 import os
 import platform
 import resource
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from components.core.sealed import content_digest, read_record, seal
+from components.core.version import code_version
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
@@ -206,7 +206,7 @@ def _describe(
     described |= {name: node[name] for name in ("inputs", "tags", "cost")}
     described |= {"content": dict(content)} | dict(usage)
     described |= {"wall_seconds": wall, "share": share, "seconds": wall * share}
-    described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
+    described |= {"hardware": hardware(usage["device"]), "package": code_version()}
     seal(out, described)
 
 
@@ -226,13 +226,6 @@ def _cpu_seconds() -> float:
     own = resource.getrusage(resource.RUSAGE_SELF)
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
-
-
-def _package_version() -> str:
-    try:
-        return importlib.metadata.version("proximity-bench")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
 
 
 @cache

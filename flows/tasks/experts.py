@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from components.core.files import read_json
+from components.core.integrity import DamagedFileError
 from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
@@ -102,5 +103,5 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
 def _read_reached(path: Path) -> dict[str, Any]:
     found = read_json(path)
     if not isinstance(found, dict):
-        raise ValueError(f"{path} is missing or damaged.")
+        raise DamagedFileError(f"{path} is missing or damaged", path)
     return found
