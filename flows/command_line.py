@@ -11,6 +11,7 @@ from rich.console import Console
 
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
 from flows.configuration.shown import settings_yaml
+from flows.pipeline.audit import audit
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.ray import RayExecutor
@@ -46,6 +47,7 @@ COMMON_HELP = """\
   runner.threads=1                threads of a task
   runner.device=auto              or cpu, cuda; auto takes a GPU where there is one
   runner.gpu_share=0.5            share of a GPU that a task takes
+  repair=recompute                what is damaged in the store is made again; or refuse: stop there
 
 Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE, except
 those below `dataset`, which stand in conf/dataset.
@@ -179,8 +181,14 @@ def run_sweep(
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {settings.store}/")
-    display.show_plan(plan, store, executor.slots)
+    repairs = settings.runner.repair == "recompute"
+    found = audit(plan, store)
+    if not repairs:
+        found.refuse()
+    display.show_plan(plan, store, executor.slots, found)
     if settings.dry_run:
+        for line in found.lines():
+            display.note(line)
         return 0
     command = shlex.join(["python", *command_words()])
     tracker = make_tracker(settings)
@@ -201,7 +209,9 @@ def run_sweep(
     files: Sequence[Path] = ()
     metrics: Metrics = {}
     try:
-        outcome = run_plan(plan, store, tracker, display, executor=executor, command=command)
+        outcome = run_plan(
+            plan, store, tracker, display, executor=executor, command=command, repairs=repairs
+        )
         files, metrics = report(outcome)
         status = outcome.status
     finally:

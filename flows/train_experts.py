@@ -37,6 +37,7 @@ ALIASES = {
     "physics": "experts.physics",
     "install": "experts.install",
     "steps": "experts.training.steps",
+    "repair": "runner.repair",
 }
 
 

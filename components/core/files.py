@@ -41,19 +41,19 @@ def temporary_name(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def sync(path: Path) -> None:
-    """Hand a file, or a folder with everything below it, to the disk.
+def sync(path: Path, *, below: bool = True) -> None:
+    """Hand a file or a folder to the disk.
+
+    Args:
+        path: A file; or a folder, whose names are handed over.
+        below: Whether everything in a folder is handed over, too.
 
     Raises:
         OSError: The disk is full or broken.
     """
-    if path.is_dir():
+    if below and path.is_dir():
         for entry in path.iterdir():
             sync(entry)
-    _sync_one(path)
-
-
-def _sync_one(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -82,7 +82,7 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
             sync(temporary)
         os.replace(temporary, path)
         if durable:
-            _sync_one(path.parent)
+            sync(path.parent, below=False)
 
 
 def write_text(path: Path, text: str, *, durable: bool = False) -> None:

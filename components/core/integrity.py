@@ -5,6 +5,7 @@ if its size, its time of change or its place on the disk is another one.
 """
 
 import hashlib
+import json
 import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ __all__ = [
     "check_files",
     "damaged_path",
     "describe_files",
+    "load_json",
 ]
 
 SMALL: Final = 64 * 1024
@@ -144,6 +146,23 @@ def check_files(
     for name, expected in files.items():
         if names is None or name in names:
             check_file(folder / name, expected, large=large, fresh=fresh, remedy=remedy)
+
+
+def load_json(path: Path, remedy: str = "") -> Any:
+    """The value in a JSON file.
+
+    Raises:
+        MissingFileError: There is no such file.
+        DamagedFileError: It is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingFileError(f"{path} is missing", path, remedy) from error
+    except OSError as error:
+        raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, remedy) from error
+    except ValueError as error:
+        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, remedy) from error
 
 
 def _sha256(path: Path, status: os.stat_result, *, fresh: bool = False) -> str:

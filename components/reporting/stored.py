@@ -14,7 +14,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from components.core.cards import CardFormat
-from components.core.files import read_json, write_json
+from components.core.files import write_json
+from components.core.sealed import read_sealed_json
 from components.reporting.figures import proximity_figure
 from components.reporting.tables import read_results
 
@@ -111,7 +112,7 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     Raises:
         FileNotFoundError: No such sweep, or none at all, has a report there, or an older version
             wrote it.
-        ValueError: A file of the report is damaged.
+        DamagedFileError: A file of the report is damaged.
     """
     tables = sorted(store.glob("reports/*/results.csv"), key=lambda path: path.stat().st_mtime)
     if not tables:
@@ -124,15 +125,18 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     table = tables[-1] if sweep is None else tables[names.index(sweep)]
     report_nodes = ReportNodes.load(table.parent)
     nodes = store / "nodes"
-    summaries = [read_json(nodes / key / "summary.json") for key in report_nodes.aggregations]
+    summaries = [
+        read_sealed_json(nodes / key, "summary.json")
+        for key in report_nodes.aggregations
+        if (nodes / key).exists()
+    ]
     cards = {
-        name: read_json(nodes / key / "dataset" / "card.json")
+        name: read_sealed_json(nodes / key, "dataset/card.json")
         for name, key in report_nodes.datasets.items()
+        if (nodes / key).exists()
     }
-    returns = {
-        name: float(card["first_window_return_mean"]) for name, card in cards.items() if card
-    }
-    return StoredReport(table.parent, read_results(table), [s for s in summaries if s], returns)
+    returns = {name: float(card["first_window_return_mean"]) for name, card in cards.items()}
+    return StoredReport(table.parent, read_results(table), summaries, returns)
 
 
 def figures_over_proximity(report: StoredReport) -> dict[str, Figure]:

@@ -11,7 +11,7 @@ from flows.configuration.checking import SettingsError, hint
 
 __all__ = ["ALIASES", "check_keys", "parse_overrides", "rename_old_keys", "split_overrides"]
 
-ALIASES: Mapping[str, str] = {"models": "models.source"}
+ALIASES: Mapping[str, str] = {"models": "models.source", "repair": "runner.repair"}
 """Short keys of the command line and the full keys they stand for; a door may have others."""
 
 _RENAMED = {("evaluation", "lambda_step"): "proximity_step"}

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
 from flows.pipeline.tracking.mlflow_run import link_tree
@@ -163,7 +164,7 @@ class MlflowExperiment:
         """
         try:
             yield
-        except TrackingError:
+        except (TrackingError, DamagedFileError):  # the latter is about an artifact
             raise
         except Exception as error:
             line = next(iter(str(error).strip().splitlines()), "") or type(error).__name__
