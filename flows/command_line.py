@@ -13,6 +13,7 @@ from rich.markup import escape
 
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
 from flows.configuration.shown import settings_yaml
+from flows.pipeline.audit import audit
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.processors import available_cpus, check_threads
@@ -55,6 +56,7 @@ COMMON_HELP = """\
   runner.threads=1                threads of a task
   runner.device=auto              or cpu, cuda; auto takes a GPU where there is one
   runner.gpu_share=0.5            share of a GPU that a task takes
+  repair=recompute                what is damaged in the store is made again; or refuse: stop there
 
 Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE, except
 those below `dataset`, which stand in conf/dataset.
@@ -198,8 +200,12 @@ def run_sweep(
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
-    seconds = display.show_plan(plan, store, executor.slots)
-    pending = form_groups(plan, (n.key for n in plan if not store.complete(n.key)), store)
+    repairs = settings.runner.repair == "recompute"
+    found = audit(plan, store)
+    if not repairs:
+        found.refuse()
+    seconds = display.show_plan(plan, store, executor.slots, found)
+    pending = form_groups(plan, (n.key for n in plan if n.key not in found.finished), store)
     if not os.environ.get("RAY_ADDRESS"):  # a cluster's computers may be larger
         check_capacity(pending, total_memory(executor.device), settings.store)
     if seconds > _YEAR and not settings.yes:
@@ -207,6 +213,8 @@ def run_sweep(
             f"This is estimated to take {duration(seconds)}; choose less, or add yes=true."
         )
     if settings.dry_run:
+        for line in found.lines():
+            display.note(line)
         return 0
     command = shlex.join(["python", *command_words()])
     tracker = make_tracker(settings)
@@ -228,7 +236,9 @@ def run_sweep(
     files: Sequence[Path] = ()
     metrics: Metrics = {}
     try:
-        outcome = run_plan(plan, store, tracker, display, executor=executor, command=command)
+        outcome = run_plan(
+            plan, store, tracker, display, executor=executor, command=command, repairs=repairs
+        )
         if outcome.may_take_time:
             files, metrics = report(outcome)
         status = outcome.status

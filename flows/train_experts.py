@@ -39,6 +39,7 @@ ALIASES = {
     "physics": "experts.physics",
     "install": "experts.install",
     "steps": "experts.training.steps",
+    "repair": "runner.repair",
 }
 
 

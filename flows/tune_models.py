@@ -47,12 +47,12 @@ Look at the trials:    pip install -e '.[dashboard]'; optuna-dashboard mlruns/op
   models.folder=conf/tuned        where the best settings are written, as DATASET/MODEL.yaml
 {COMMON_HELP}"""
 
-ALIASES = {"models": "tuning.models", "trials": "tuning.trials"}
+ALIASES = {"models": "tuning.models", "trials": "tuning.trials", "repair": "runner.repair"}
 
 
 def _generate(settings: Settings, plan: Plan, store: ArtifactStore) -> int:
     """Generate the datasets that are missing; the only step that needs the real system."""
-    if all(store.complete(node.key) for node in plan):
+    if all(store.intact(node.key, large=True) for node in plan):
         return 0
     return run_sweep(settings, f"data-{sweep_name(settings, plan)}", plan, lambda outcome: ([], {}))
 

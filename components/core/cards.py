@@ -10,6 +10,8 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from components.core.integrity import DamagedFileError, MissingFileError
+
 __all__ = ["CardFormat"]
 
 C = TypeVar("C")
@@ -41,14 +43,20 @@ class CardFormat(Generic[C]):
         """Read a card.
 
         Raises:
-            FileNotFoundError: There is none.
-            ValueError: It is damaged, of another version, or has other fields than the dataclass.
+            MissingFileError: There is none.
+            DamagedFileError: It is damaged, of another version, or has other fields than the
+                dataclass.
         """
         if not path.is_file():
-            raise FileNotFoundError(
-                f"There is no {self.what} in {path.parent}: {path.name} is missing; {self.remedy}."
+            raise MissingFileError(
+                f"There is no {self.what} in {path.parent}: {path.name} is missing",
+                path,
+                self.remedy,
             )
-        return self.parse(path.read_bytes(), path)
+        try:
+            return self.parse(path.read_bytes(), path)
+        except ValueError as error:
+            raise DamagedFileError(str(error), path) from error
 
     def parse(self, text: str | bytes, source: object) -> C:
         """Read a card from its text.

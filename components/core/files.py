@@ -2,8 +2,12 @@
 
 Everything is written under a temporary name beside its own and renamed when it is complete. An
 error removes the temporary file; a killed process leaves it behind, hidden.
+
+A name may reach the disk before the content does, and a power cut in between leaves an empty file.
+What must survive one is therefore handed to the disk (`sync`) before it gets its name.
 """
 
+import errno
 import json
 import os
 import shutil
@@ -13,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_json", "replacing", "temporary_name", "write_json", "write_text"]
+__all__ = ["read_json", "replacing", "sync", "temporary_name", "write_json", "write_text"]
 
 
 @contextmanager
@@ -37,27 +41,59 @@ def temporary_name(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def sync(path: Path, *, below: bool = True) -> None:
+    """Hand a file or a folder to the disk.
+
+    Args:
+        path: A file; or a folder, whose names are handed over.
+        below: Whether everything in a folder is handed over, too.
+
+    Raises:
+        OSError: The disk is full or broken.
+    """
+    if below and path.is_dir():
+        for entry in path.iterdir():
+            sync(entry)
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        # Some file systems cannot do it for a folder; they need it least.
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(handle)
+
+
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
     """Provide a temporary name; what is written there replaces ``path`` unless the block raises.
+
+    Args:
+        path: The final name of a file or a folder.
+        durable: Whether it has to survive a power cut. That takes milliseconds.
 
     Raises:
         OSError: ``path`` cannot be replaced, for example because it is a folder with content.
     """
     with temporary_name(path) as temporary:
         yield temporary
+        if durable:
+            sync(temporary)
         os.replace(temporary, path)
+        if durable:
+            sync(path.parent, below=False)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text in UTF-8."""
-    with replacing(path) as temporary:
+def write_text(path: Path, text: str, *, durable: bool = False) -> None:
+    """Write text in UTF-8; see :func:`replacing` for ``durable``."""
+    with replacing(path, durable=durable) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON."""
-    write_text(path, json.dumps(value, indent=1))
+def write_json(path: Path, value: Any, *, durable: bool = False) -> None:
+    """Write a value as JSON; see :func:`replacing` for ``durable``."""
+    write_text(path, json.dumps(value, indent=1), durable=durable)
 
 
 def read_json(path: Path) -> Any:

@@ -5,6 +5,7 @@ if its size, its time of change or its place on the disk is another one.
 """
 
 import hashlib
+import json
 import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -18,6 +19,7 @@ __all__ = [
     "check_files",
     "damaged_path",
     "describe_files",
+    "load_json",
 ]
 
 SMALL: Final = 64 * 1024
@@ -29,25 +31,24 @@ _known: dict[tuple[str, int, int, int], str] = {}  # digests of large files seen
 
 
 class DamagedFileError(ValueError):
-    """A file is not what was written; the message is one sentence that names it.
+    """A file is not what was written.
 
     Args:
+        sentence: What is wrong; it names the file.
         path: The file, or the folder.
-        what: What is wrong with it, to follow its name: "is damaged (it has 5 bytes, not 7)".
-        remedy: What to do about it.
+        remedy: What to do about it; added to the message.
 
     Attributes:
+        sentence: As given, without a full stop.
         path: As given.
-        what: As given.
-        remedy: As given.
     """
 
-    def __init__(self, path: Path, what: str, remedy: str = "") -> None:
-        super().__init__(f"{path} {what}; {remedy}." if remedy else f"{path} {what}.")
-        self.path, self.what, self.remedy = path, what, remedy
+    def __init__(self, sentence: str, path: Path | None = None, remedy: str = "") -> None:
+        self.sentence, self.path, self._remedy = sentence.rstrip("."), path, remedy
+        super().__init__(f"{self.sentence}; {remedy}." if remedy else f"{self.sentence}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.path, self.what, self.remedy)
+        return type(self), (self.sentence, self.path, self._remedy)
 
 
 class MissingFileError(DamagedFileError, FileNotFoundError):
@@ -107,17 +108,17 @@ def check_file(
     try:
         status = path.stat()
         if status.st_size != expected[_SIZE]:
-            what = f"is damaged (it has {status.st_size} bytes, not {expected[_SIZE]})"
-            raise DamagedFileError(path, what, remedy)
+            said = f"{path} is damaged (it has {status.st_size} bytes, not {expected[_SIZE]})"
+            raise DamagedFileError(said, path, remedy)
         if (large or status.st_size <= SMALL) and (
             _sha256(path, status, fresh=fresh) != expected[_SHA256]
         ):
-            what = "is damaged (its content is not what was written)"
-            raise DamagedFileError(path, what, remedy)
+            said = f"{path} is damaged (its content is not what was written)"
+            raise DamagedFileError(said, path, remedy)
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingFileError(path, "is missing", remedy) from error
+        raise MissingFileError(f"{path} is missing", path, remedy) from error
     except OSError as error:
-        raise DamagedFileError(path, f"cannot be read ({error.strerror})", remedy) from error
+        raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, remedy) from error
 
 
 def check_files(
@@ -145,6 +146,23 @@ def check_files(
     for name, expected in files.items():
         if names is None or name in names:
             check_file(folder / name, expected, large=large, fresh=fresh, remedy=remedy)
+
+
+def load_json(path: Path, remedy: str = "") -> Any:
+    """The value in a JSON file.
+
+    Raises:
+        MissingFileError: There is no such file.
+        DamagedFileError: It is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingFileError(f"{path} is missing", path, remedy) from error
+    except OSError as error:
+        raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, remedy) from error
+    except ValueError as error:
+        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, remedy) from error
 
 
 def _sha256(path: Path, status: os.stat_result, *, fresh: bool = False) -> str:

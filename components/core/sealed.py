@@ -14,9 +14,9 @@ from typing import Any, Final
 from components.core.files import write_json
 from components.core.integrity import (
     DamagedFileError,
-    MissingFileError,
     check_files,
     describe_files,
+    load_json,
 )
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "check_folder",
     "content_digest",
     "is_sealed",
+    "manifest_digest",
     "read_record",
     "read_sealed_json",
     "seal",
@@ -57,21 +58,16 @@ def read_record(folder: Path) -> dict[str, Any]:
         DamagedFileError: It is no JSON object or not what was written.
     """
     path = folder / RECORD
-    try:
-        record = json.loads(path.read_bytes())
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingFileError(path, "is missing", REMEDY) from error
-    except OSError as error:
-        raise DamagedFileError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-    except ValueError as error:
-        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+    record = load_json(path, REMEDY)
     if not isinstance(record, dict):
-        raise DamagedFileError(path, "is damaged (it is no JSON object)", REMEDY)
+        raise DamagedFileError(f"{path} is damaged (it is no JSON object)", path, REMEDY)
     if _FILES in record or _DIGEST in record:
         written = record.get(_DIGEST)
         rest = {name: value for name, value in record.items() if name != _DIGEST}
         if _FILES not in record or written != _digest(rest):
-            raise DamagedFileError(path, "is damaged (its content is not what was written)", REMEDY)
+            raise DamagedFileError(
+                f"{path} is damaged (its content is not what was written)", path, REMEDY
+            )
     return record
 
 
@@ -80,15 +76,21 @@ def is_sealed(record: Mapping[str, Any]) -> bool:
     return _FILES in record
 
 
+def manifest_digest(files: Mapping[str, Mapping[str, Any]]) -> str:
+    """A digest of what :func:`~components.core.integrity.describe_files` returned."""
+    return _digest(files)
+
+
 def content_digest(record: Mapping[str, Any]) -> str | None:
     """A digest of all files that a record describes; None for a record of an older version."""
-    return _digest(record[_FILES]) if is_sealed(record) else None
+    return manifest_digest(record[_FILES]) if is_sealed(record) else None
 
 
 def check_folder(
     folder: Path,
     names: Collection[str] | None = None,
     *,
+    record: dict[str, Any] | None = None,
     large: bool = True,
     fresh: bool = False,
 ) -> dict[str, Any]:
@@ -97,6 +99,7 @@ def check_folder(
     Args:
         folder: The folder.
         names: The files to check, relative to the folder; None: all.
+        record: What :func:`read_record` returned, if it was read before.
         large: Whether large files are hashed, too; otherwise only their sizes are compared.
         fresh: Whether large files are hashed even if this process has done so before.
 
@@ -106,7 +109,8 @@ def check_folder(
     Raises:
         DamagedFileError: The record or a file is missing or damaged.
     """
-    record = read_record(folder)
+    if record is None:
+        record = read_record(folder)
     check_files(folder, record.get(_FILES, {}), names, large=large, fresh=fresh, remedy=REMEDY)
     return record
 
@@ -122,13 +126,7 @@ def read_sealed_json(folder: Path, name: str) -> Any:
         DamagedFileError: The record or the file is missing or damaged.
     """
     check_folder(folder, (name,))
-    path = folder / name
-    try:
-        return json.loads(path.read_bytes())
-    except FileNotFoundError as error:
-        raise MissingFileError(path, "is missing", REMEDY) from error
-    except ValueError as error:
-        raise DamagedFileError(path, "is damaged (it is not JSON)", REMEDY) from error
+    return load_json(folder / name, REMEDY)
 
 
 def _digest(value: Any) -> str:

@@ -12,7 +12,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -22,6 +21,8 @@ from numpy.typing import NDArray
 
 from components.core.cards import CardFormat
 from components.core.files import replacing, write_text
+from components.core.integrity import DamagedFileError, MissingFileError
+from components.core.version import code_version
 from components.data.validity import check_card, check_log
 
 __all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "code_version"]
@@ -40,14 +41,6 @@ _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
         "episode_starts": "<i8",
     }
 )
-
-
-def code_version() -> str:
-    """Version of this package, or "unknown" where it runs without being installed."""
-    try:
-        return metadata.version("proximity-bench")
-    except metadata.PackageNotFoundError:
-        return "unknown"
 
 
 @dataclass(frozen=True)
@@ -277,10 +270,10 @@ class OfflineDataset:
             check: read all bytes, compare their digest with the card's, and check the values.
 
         Raises:
-            FileNotFoundError: no dataset there, or one of its files is missing.
-            ValueError: a file that cannot be read, has another type or shape than it should, or
-                does not have the digest on the card; or a value that cannot be, see
-                :mod:`components.data.validity`.
+            MissingFileError: no dataset there, or one of its files is missing.
+            DamagedFileError: a file that cannot be read, has another type or shape than it should,
+                or does not have the digest on the card.
+            ValueError: a value that cannot be, see :mod:`components.data.validity`.
         """
         folder = Path(folder)
         card = DatasetCard.load(folder / _CARD)
@@ -288,17 +281,21 @@ class OfflineDataset:
         for name, dtype in _DTYPES.items():
             path = folder / f"{name}.npy"
             if not path.is_file():
-                raise FileNotFoundError(f"{path} is missing from its dataset; {_REMEDY}.")
+                raise MissingFileError(f"{path} is missing from its dataset", path, _REMEDY)
             try:
                 arrays[name] = np.load(path, mmap_mode="r", allow_pickle=False)
             except (ValueError, EOFError, OSError) as error:
-                raise ValueError(f"{path} is damaged and cannot be read; {_REMEDY}.") from error
+                said = f"{path} is damaged and cannot be read"
+                raise DamagedFileError(said, path, _REMEDY) from error
             if arrays[name].dtype != np.dtype(dtype):
-                raise ValueError(f"{path} holds {arrays[name].dtype}, not {dtype}; {_REMEDY}.")
+                said = f"{path} holds {arrays[name].dtype}, not {dtype}"
+                raise DamagedFileError(said, path, _REMEDY)
         if check and array_digest(arrays) != card.digest:
-            raise ValueError(
+            raise DamagedFileError(
                 f"the arrays in {folder} do not have the digest on their card: they were changed "
-                f"or damaged after they were written; {_REMEDY}."
+                "or damaged after they were written",
+                folder,
+                _REMEDY,
             )
         dataset = cls(card=card, **arrays)
         _check_shapes(dataset, folder)
@@ -323,4 +320,5 @@ def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
     for name, shape in expected.items():
         found = getattr(dataset, name).shape
         if found != shape:
-            raise ValueError(f"{folder / name}.npy has the shape {found}, not {shape}; {_REMEDY}.")
+            path = folder / f"{name}.npy"
+            raise DamagedFileError(f"{path} has the shape {found}, not {shape}", path, _REMEDY)

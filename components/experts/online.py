@@ -215,6 +215,7 @@ class OnlineDDPG:
             "best_return": self._best_return,
             "best_step": self._best_step,
             "collected": torch.full((self.lanes,), self._replay.count),
+            "transitions": self._replay.digests(),
             "episode": torch.from_numpy(self._episode.copy()),
             "elapsed": torch.from_numpy(self._elapsed.copy()),
         }
@@ -223,7 +224,7 @@ class OnlineDDPG:
         """Restore what :meth:`state_dict` returned, and repeat the running episodes.
 
         Raises:
-            ValueError: The files hold fewer transitions than the state counts.
+            DamagedFileError: The files hold other transitions than those the state counts.
         """
         self._ddpg.load_state_dict(state)
         self._best.load_state_dict(with_prefix("best", state))
@@ -231,7 +232,7 @@ class OnlineDDPG:
         self._best_step = state["best_step"].clone()
         self._episode = state["episode"].numpy().copy()
         self._elapsed = state["elapsed"].numpy().copy()
-        self._replay.restore(int(state["collected"][0]))
+        self._replay.restore(int(state["collected"][0]), state["transitions"])
         for back in range(int(self._elapsed.max()), -1, -1):
             begins = self._elapsed == back
             if begins.any():

@@ -2,10 +2,12 @@
 
 A row is (observation, action, reward, continues, next observation) in float32, so that drawing a
 batch is one gather. Every row is written to its file at once and never changed, so a checkpoint
-only has to store the number of rows. Rows that a killed run wrote after its last checkpoint are
-overwritten by the run that continues from it, with the same values.
+only has to store the number of rows and a digest of them. Rows that a killed run wrote after its
+last checkpoint are overwritten by the run that continues from it, with the same values.
 """
 
+import hashlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from components.core.integrity import DamagedFileError
 from components.data.batches import Batch
 
 __all__ = ["Replay"]
@@ -47,6 +50,7 @@ class Replay:
         self._rows = torch.empty((lanes, capacity, self._width), device=device)
         self._base = capacity * torch.arange(lanes, device=device)[:, None]
         self._files = [path.open("r+b" if path.exists() else "w+b") for path in files]
+        self._hashes = [hashlib.sha256() for _ in files]
         self._count = 0
 
     @property
@@ -74,28 +78,41 @@ class Replay:
         continues = ~terminated[:, None]
         parts = [observations, actions, rewards[:, None], continues, following]
         rows = np.concatenate(parts, axis=1, dtype=np.float32)
-        for file, row in zip(self._files, rows, strict=False):
+        for file, written, row in zip(self._files, self._hashes, rows, strict=False):
             file.write(row.tobytes())
+            written.update(row.tobytes())
             file.flush()  # a killed process loses what it has not handed to the operating system
         self._rows[:, self._count] = torch.from_numpy(rows)
         self._count += 1
 
-    def restore(self, count: int) -> None:
+    def digests(self) -> Tensor:
+        """SHA-256 of every lane's transitions so far, ``[L, 32]``; these are then on the disk."""
+        for file in self._files:
+            os.fsync(file.fileno())
+        found = [list(written.digest()) for written in self._hashes]
+        return torch.tensor(found or [[0] * 32] * len(self._rows), dtype=torch.uint8)
+
+    def restore(self, count: int, digests: Tensor) -> None:
         """Restore the first transitions from the files.
 
         Args:
             count: Transitions per lane.
+            digests: What :meth:`digests` returned when there were so many.
 
         Raises:
-            ValueError: A file holds fewer.
+            DamagedFileError: A file holds fewer, or others.
         """
         for lane, file in enumerate(self._files):
             file.seek(0)
             stored = np.fromfile(file, np.float32, count * self._width)
-            if stored.size < count * self._width:
-                raise ValueError(
-                    f"{file.name} holds fewer transitions than its checkpoint counts; delete its "
-                    "folder to train from the beginning."
+            self._hashes[lane] = hashlib.sha256(stored.tobytes())
+            short = stored.size < count * self._width
+            if short or list(self._hashes[lane].digest()) != digests[lane].tolist():
+                what = "fewer transitions than" if short else "other transitions than those that"
+                raise DamagedFileError(
+                    f"{file.name} holds {what} its checkpoint counts",
+                    Path(file.name),
+                    "delete its folder to train from the beginning",
                 )
             rows = torch.from_numpy(stored.reshape(count, self._width))
             self._rows[lane, :count] = rows

@@ -10,6 +10,7 @@ deterministic networks. BCQ and BEAR choose, by a critic, among candidates drawn
 caller supplies the normal noise, so that a policy's actions depend on its own random stream alone.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -22,6 +23,7 @@ from torch import Tensor
 
 from components.core.cards import CardFormat
 from components.core.files import write_text
+from components.core.integrity import DamagedFileError
 from components.core.normaliser import Normaliser
 from components.core.tensors import load_tensors, save_tensors
 from components.policies.deployment import KINDS, Layers
@@ -88,11 +90,10 @@ class PolicyCard:
         """
         return _CARDS.read(path)
 
-    def save(self, path: Path) -> None:
-        """Write ``policy.json``."""
+    def to_json(self) -> str:
+        """The text of ``policy.json``."""
         values = {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
-        text = json.dumps({"format": FORMAT, **values}, indent=2, allow_nan=False)
-        write_text(path, text + "\n")
+        return json.dumps({"format": FORMAT, **values}, indent=2, allow_nan=False) + "\n"
 
 
 def _amend(values: dict[str, Any]) -> None:
@@ -228,35 +229,39 @@ class Policy:
                 f"A policy of {self.card.algorithm} on {self.card.dataset} is not finite in "
                 f"{wrong}, so it is not stored."
             )
-        header = {"format": FORMAT, "networks": {r: len(n) for r, n in self.networks.items()}}
+        text = self.card.to_json()
+        header = {
+            "format": FORMAT,
+            "networks": {r: len(n) for r, n in self.networks.items()},
+            "card": hashlib.sha256(text.encode()).hexdigest(),
+        }
         save_tensors(folder / "weights.safetensors", self._tensors(), header)
-        self.card.save(folder / "policy.json")
+        write_text(folder / "policy.json", text, durable=True)
 
     @classmethod
     def load(cls, folder: Path) -> "Policy":
         """Read what :meth:`save` wrote.
 
         Raises:
-            FileNotFoundError: If the folder holds no policy.
-            ValueError: If the files are damaged or of another format, or a number is infinite or
-                undefined.
+            MissingFileError: If the folder holds no policy.
+            DamagedFileError: If the files are damaged or of another format, or a number is infinite
+                or undefined.
         """
-        card = PolicyCard.load(folder / "policy.json")
-        tensors, header = load_tensors(folder / "weights.safetensors")
+        path, weights = folder / "policy.json", folder / "weights.safetensors"
+        card = PolicyCard.load(path)
+        tensors, header = load_tensors(weights)
+        if "card" in header and header["card"] != hashlib.sha256(path.read_bytes()).hexdigest():
+            said = f"{path} is damaged (it is not the card that {weights.name} was written with)"
+            raise DamagedFileError(said, path, _CARDS.remedy)
         if wrong := _undefined(tensors):
-            raise ValueError(
-                f"{folder / 'weights.safetensors'} is not finite in {wrong}; train the policy "
-                "again."
-            )
+            raise DamagedFileError(f"{weights} is not finite in {wrong}", weights, _CARDS.remedy)
         try:
             for role, count in header["networks"].items():
                 for name in (f"{role}.{n}.{p}" for n in range(count) for p in ("weight", "bias")):
                     tensors[name]
             return cls._of_tensors(card, tensors)
         except (KeyError, AttributeError, TypeError) as error:
-            raise ValueError(
-                f"{folder / 'weights.safetensors'} lacks {error}; train the policy again."
-            ) from error
+            raise DamagedFileError(f"{weights} lacks {error}", weights, _CARDS.remedy) from error
 
     def _tensors(self) -> dict[str, Tensor]:
         """All tensors by stored name, lane axis first."""

@@ -14,7 +14,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from components.core.cards import CardFormat
-from components.core.files import read_json, write_json
+from components.core.files import write_json
+from components.core.sealed import read_sealed_json
 from components.reporting.figures import proximity_figure
 from components.reporting.tables import read_results
 
@@ -112,7 +113,8 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     Raises:
         FileNotFoundError: No such sweep, or none at all, has a report there, or an older version
             wrote it.
-        ValueError: A file of the report is damaged, or there are several and none is named.
+        DamagedFileError: A file of the report is damaged.
+        ValueError: There are several reports and none is named.
     """
     tables = {path.parent.name: path for path in store.glob("reports/*/results.csv")}
     if not tables:
@@ -128,15 +130,18 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     table = tables[sweep] if sweep else next(iter(tables.values()))
     report_nodes = ReportNodes.load(table.parent)
     nodes = store / "nodes"
-    summaries = [read_json(nodes / key / "summary.json") for key in report_nodes.aggregations]
+    summaries = [
+        read_sealed_json(nodes / key, "summary.json")
+        for key in report_nodes.aggregations
+        if (nodes / key).exists()
+    ]
     cards = {
-        name: read_json(nodes / key / "dataset" / "card.json")
+        name: read_sealed_json(nodes / key, "dataset/card.json")
         for name, key in report_nodes.datasets.items()
+        if (nodes / key).exists()
     }
-    returns = {
-        name: float(card["first_window_return_mean"]) for name, card in cards.items() if card
-    }
-    return StoredReport(table.parent, read_results(table), [s for s in summaries if s], returns)
+    returns = {name: float(card["first_window_return_mean"]) for name, card in cards.items()}
+    return StoredReport(table.parent, read_results(table), summaries, returns)
 
 
 def figures_over_proximity(report: StoredReport) -> dict[str, Figure]:

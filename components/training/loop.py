@@ -7,16 +7,23 @@ the loop is interrupted or when it saves.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Final, Protocol
 
 import torch
 from torch import Tensor
 
+from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors, save_tensors
+from components.core.version import code_version
 from components.networks.stacked import select_lanes
+
+FORMAT: Final = 1
+"""Of checkpoints; raise it when their content changes."""
+
+_REMEDY: Final = "delete it to train from the beginning"
 
 __all__ = ["Curves", "Learner", "Schedule", "TrainingLoop", "adam"]
 
@@ -117,6 +124,10 @@ class TrainingLoop:
 
         Returns:
             The learning curves from the first update on.
+
+        Raises:
+            DamagedFileError: The checkpoint is damaged, was written by another version, or belongs
+                to another training.
         """
         curves = Curves()
         done, stopped = self._restore(learner, curves)
@@ -146,6 +157,8 @@ class TrainingLoop:
         tensors = {f"learner.{k}": v for k, v in learner.state_dict().items()}
         tensors |= {f"curve.{k}": v for k, v in curves.tensors().items()}
         header = {
+            "format": FORMAT,
+            "package": code_version(),
             "done": done,
             "stopped": stopped,
             "members": list(self.members),
@@ -157,21 +170,66 @@ class TrainingLoop:
         if self.checkpoint is None or not self.checkpoint_exists:
             return 0, False
         tensors, header = load_tensors(self.checkpoint)
+        try:
+            self._check_origin(header)
+            self._take(learner, curves, tensors, header)
+            return int(header["done"]), bool(header["stopped"])
+        except (DamagedFileError, torch.OutOfMemoryError):
+            raise
+        except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
+            said = f"{self.checkpoint} is no checkpoint of this training ({_line(error)})"
+            raise DamagedFileError(said, self.checkpoint, _REMEDY) from error
+
+    def _check_origin(self, header: Mapping[str, Any]) -> None:
+        """Refuse what another version wrote, or what belongs to other lanes."""
+        found = header.get("format"), header.get("package")
+        if found != (FORMAT, code_version()):
+            raise DamagedFileError(
+                f"{self.checkpoint} was written by another version of this package "
+                f"(format {found[0]}, version {found[1]})",
+                self.checkpoint,
+                _REMEDY,
+            )
         stored = list(header["members"])
         missing = [name for name in self.members if name not in stored]
         if missing:
-            raise ValueError(
-                f"{self.checkpoint} is a checkpoint of {stored} and lacks {missing}; delete it to "
-                "train these from the beginning."
-            )
+            said = f"{self.checkpoint} is a checkpoint of {stored} and lacks {missing}"
+            raise DamagedFileError(said, self.checkpoint, _REMEDY)
+
+    def _take(
+        self,
+        learner: Learner,
+        curves: Curves,
+        tensors: dict[str, Tensor],
+        header: Mapping[str, Any],
+    ) -> None:
+        stored = list(header["members"])
         tensors = select_lanes(tensors, [stored.index(m) for m in self.members], len(stored))
-        learner.load_state_dict(
-            {k.removeprefix("learner."): v for k, v in tensors.items() if k.startswith("learner.")}
-        )
+        state = {
+            k.removeprefix("learner."): v for k, v in tensors.items() if k.startswith("learner.")
+        }
+        # A learner takes what it knows, in whatever shape; here nothing may differ. Optimisers have
+        # no state before their first step, so names can only be compared afterwards.
+        kinds = _kinds(state)
+        before = _kinds(learner.state_dict())
+        learner.load_state_dict(state)
+        after = _kinds(learner.state_dict())
+        wrong = {name for name in before.keys() & kinds if before[name] != kinds[name]}
+        wrong |= {name for name in after.keys() | kinds if after.get(name) != kinds.get(name)}
+        if wrong:
+            raise KeyError(f"missing, unexpected or of another shape: {', '.join(sorted(wrong))}")
         for name, steps in header["curve_steps"].items():
             values = tensors[f"curve.{name}"]
             curves.points[name] = [(step, values[:, i]) for i, step in enumerate(steps)]
-        return int(header["done"]), bool(header["stopped"])
+
+
+def _kinds(tensors: Mapping[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtype]]:
+    return {name: (tensor.shape, tensor.dtype) for name, tensor in tensors.items()}
+
+
+def _line(error: Exception) -> str:
+    text = str(error.args[0]) if error.args else type(error).__name__
+    return " ".join(text.split())[:300].rstrip(".")
 
 
 def adam(

@@ -24,7 +24,7 @@ __all__ = [
     "split_word",
 ]
 
-ALIASES: Mapping[str, str] = {"models": "models.source"}
+ALIASES: Mapping[str, str] = {"models": "models.source", "repair": "runner.repair"}
 """Short keys of the command line and the full keys they stand for; a door may have others."""
 
 _RENAMED = {("evaluation", "lambda_step"): "proximity_step"}

@@ -137,6 +137,7 @@ class RunnerSettings(StrictModel):
     device: Literal["auto", "cpu", "cuda"]
     gpu_share: float = Field(gt=0, le=1)
     stack: Literal["pair", "algorithm"]
+    repair: Literal["recompute", "refuse"]
 
 
 class ModelsSettings(StrictModel):

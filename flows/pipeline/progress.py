@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
+from flows.pipeline.audit import Audit, audit
 from flows.pipeline.plan import Plan
 from flows.pipeline.run_state import ComponentState, RunState
 from flows.pipeline.schedule import form_groups
@@ -47,18 +48,22 @@ class Display:
         self._shown: dict[str, tuple[int, ...]] = {}
         self._last: dict[str, float] = {}
 
-    def show_plan(self, plan: Plan, store: ArtifactStore, slots: int) -> float:
+    def show_plan(
+        self, plan: Plan, store: ArtifactStore, slots: int, found: Audit | None = None
+    ) -> float:
         """Prints the number of nodes per component, what is finished, and an estimate.
 
         Args:
             plan: The plan.
             store: Where finished nodes lie.
             slots: Number of groups that run at once.
+            found: What the plan finds there, if that is known.
 
         Returns:
             The estimate, in seconds.
         """
-        done = {node.key for node in plan if store.complete(node.key)}
+        found = found or audit(plan, store)
+        done = found.finished
         pending = [node.key for node in plan if node.key not in done]
         groups = form_groups(plan, pending, store)
         run_state = RunState(plan, groups, store, slots, done)
@@ -86,6 +91,11 @@ class Display:
             if pending
             else f"All {len(plan)} nodes are finished."
         )
+        if found.unsealed:
+            self.note(
+                f"{found.unsealed} finished artifacts carry no digests and cannot be checked; "
+                "`python -m flows.verify --seal` records them."
+            )
         return total
 
     def start(self, run_state: RunState) -> None:

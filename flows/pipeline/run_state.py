@@ -124,7 +124,25 @@ class RunState:
     def skipped(self, key: str) -> None:
         """Notes that a node will not be run."""
         self._skipped[self.plan[key].component] += 1
+        self.postponed()
+
+    def postponed(self) -> None:
+        """Forgets the groups that have lost all their nodes."""
         self._left = {name: group for name, group in self._left.items() if group.nodes}
+
+    def lost(self, key: str, *, reused: bool) -> None:
+        """Notes that a node that counted as reused, or as finished in this run, is neither."""
+        counter = self._reused if reused else self._finished
+        counter[self.plan[key].component] -= 1
+        self._work_done[self.plan[key].component] -= self.plan[key].cost
+
+    def failed(self, key: str) -> None:
+        """Notes that a node has failed outside of a group."""
+        self._failed[self.plan[key].component] += 1
+
+    def again(self, groups: Sequence[Group]) -> None:
+        """Begins another pass, with these groups to compute; nothing runs."""
+        self._left = {group.name: group for group in groups}
 
     def remaining(self) -> dict[str, float]:
         """Seconds until each component is done, for those that are not."""

@@ -4,70 +4,25 @@ The driver may be killed at any line. A node is finished when its artifact folde
 else, such as the tracker's record, follows from that and is completed at the next start.
 """
 
-import signal
-import time
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
 
-from flows.pipeline.errors import TrackingError
+from flows.pipeline.audit import Audit, audit
 from flows.pipeline.executors.executor import Executor
+from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
+from flows.pipeline.recording import Recorder
+from flows.pipeline.repair import Repairs
 from flows.pipeline.run_state import RunState
 from flows.pipeline.schedule import Group, form_groups
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
-from flows.pipeline.worker import GroupCall, GroupResult
+from flows.pipeline.worker import REPAIR_REMEDY, GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
 
 _TICK = 0.5  # seconds between two looks at the display
-_TRACKER_PAUSE = 60.0  # seconds before a tracker that refused is asked again
-
-
-@dataclass
-class Outcome:
-    """How a run of a plan ended.
-
-    Attributes:
-        finished: Keys computed in this run.
-        reused: Keys that were finished before.
-        failed: Traceback or reason by key.
-        skipped: By key of a node not run, the key of the failed node it needs.
-        interrupted: The exit code for the signal that ended the run, such as Ctrl-C; 0 for none.
-        unrecorded: Why the tracker lacks finished nodes; empty if it lacks none.
-    """
-
-    finished: list[str] = field(default_factory=list)
-    reused: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)
-    skipped: dict[str, str] = field(default_factory=dict)
-    interrupted: int = 0
-    unrecorded: str = ""
-
-    @property
-    def complete(self) -> bool:
-        """Whether every node of the plan is finished."""
-        return not (self.failed or self.skipped or self.interrupted)
-
-    @property
-    def status(self) -> str:
-        """FINISHED, FAILED or KILLED."""
-        if self.interrupted:
-            return "KILLED"
-        return "FINISHED" if self.complete else "FAILED"
-
-    @property
-    def may_take_time(self) -> bool:
-        """Whether a report may be written: who sends SIGTERM or SIGHUP soon sends SIGKILL."""
-        return self.interrupted in (0, 128 + signal.SIGINT)
-
-    @property
-    def exit_code(self) -> int:
-        """0 if all is finished and recorded, 130 after Ctrl-C, 143 after SIGTERM, else 1."""
-        if self.interrupted:
-            return self.interrupted
-        return 0 if self.complete and not self.unrecorded else 1
 
 
 def run_plan(
@@ -78,6 +33,7 @@ def run_plan(
     *,
     executor: Executor,
     command: str = "the same command",
+    repairs: bool = True,
 ) -> Outcome:
     """Computes everything in the plan that is not finished yet.
 
@@ -88,18 +44,23 @@ def run_plan(
         display: Shows the progress.
         executor: Computes groups of nodes.
         command: How to continue after an interrupt, for the message.
+        repairs: Whether what is damaged on the disk is made again, with all that depends on it.
 
     Returns:
         How every node ended. Nothing is raised for failed nodes.
 
     Raises:
-        PipelineError: the sweep could not start at all.
+        PipelineError: the sweep could not start at all; StoreError if something is damaged and
+            `repairs` is False.
     """
-    return _Run(plan, store, tracker, display, executor, command).run()
+    return _Run(plan, store, tracker, display, executor, command, repairs).run()
 
 
 class _Run:
-    """One pass over a plan."""
+    """A plan is gone over once, and again if something finished turns out to be damaged.
+
+    Nothing is set aside while groups run: they may be reading it.
+    """
 
     def __init__(
         self,
@@ -109,48 +70,56 @@ class _Run:
         display: Display,
         executor: Executor,
         command: str,
+        repairs: bool,
     ) -> None:
         self.plan = plan
         self.store = store
-        self.tracker = tracker
         self.display = display
         self.executor = executor
         self.command = command
+        self.repairs = repairs
         self.outcome = Outcome()
         self.waiting: dict[str, Group] = {}
         self.running: dict[str, Group] = {}
-        self.unrecorded: list[tuple[Node, str | None]] = []
-        self.tracker_closed_until = float("-inf")
-        self.tracker_warned = False
+        self.started = False
+        self.suspects: dict[str, str] = {}  # why a finished node could not be read, by key
+        self.postponed: set[str] = set()  # keys that wait for another pass
+        self.new: set[str] = set()  # keys finished since the last look at the store
+        self.repair = Repairs(store, display.note)
+        self.recorder = Recorder(tracker, store, display.note)
 
     def run(self) -> Outcome:
-        self.store.repair()
-        self.outcome.reused = [node.key for node in self.plan if self.store.complete(node.key)]
-        done = set(self.outcome.reused)
-        pending = [node.key for node in self.plan if node.key not in done]
+        for sentence in self.store.repair():
+            self.display.note(sentence)
+        found = audit(self.plan, self.store)
+        if self.repairs:
+            self._set_aside(found)
+        else:
+            found.refuse()
+        self.outcome.reused = [node.key for node in self.plan if node.key in found.finished]
+        pending = [node.key for node in self.plan if node.key not in found.finished]
         groups = form_groups(self.plan, pending, self.store)
-        self.waiting = {group.name: group for group in groups}
-        self.run_state = RunState(self.plan, groups, self.store, self.executor.slots, done)
+        self.run_state = RunState(
+            self.plan, groups, self.store, self.executor.slots, found.finished
+        )
         self.display.start(self.run_state)
         try:
-            if groups:
-                self.executor.start(self.display.note)
-                self.run_state.slots = self.executor.slots
-                self._submit()
-            for key in self.outcome.reused:
+            self._begin(groups)
+            for key in list(self.outcome.reused):
                 self._record(self.plan[key], None)
-            while self.running:
-                self._step()
-            self._retry_tracker(last=True)
+            self._finish_pass()
+            while self._begin_another_pass() or self._retry_tracker():
+                self._finish_pass()
         except KeyboardInterrupt:
             self.outcome.interrupted = exit_code()
         finally:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
                 self.display.stop(self.run_state)
-        if self.unrecorded:
+        self.outcome.unrecorded = self.recorder.refusal
+        if self.recorder.waiting:
             self.display.note(
-                f"{len(self.unrecorded)} nodes are not in the tracker yet, but safe on disk. "
+                f"{len(self.recorder.waiting)} nodes are not in the tracker yet, but safe on disk. "
                 f"Record them with: {self.command}"
             )
         if self.outcome.interrupted:
@@ -158,6 +127,66 @@ class _Run:
                 f"Interrupted; nothing finished is lost. Continue with: {self.command}"
             )
         return self.outcome
+
+    def _begin(self, groups: list[Group]) -> None:
+        self.waiting = {group.name: group for group in groups}
+        if groups and not self.started:
+            self.executor.start(self.display.note)
+            self.run_state.slots = self.executor.slots
+            self.started = True
+        self._submit()
+
+    def _finish_pass(self) -> None:
+        while self.running:
+            self._step()
+
+    def _begin_another_pass(self) -> bool:
+        """Makes again what was found damaged, and what was made from another input."""
+        done = {*self.outcome.reused, *self.outcome.finished} - self.new
+        doubtful = any(n.key in done for key in self.new for n in self.plan.dependents(key))
+        if not (self.suspects or self.postponed or doubtful):
+            return False
+        found = audit(self.plan, self.store, self.suspects)
+        if not self.repairs:
+            self._name_damage(found.unusable)
+            return False
+        self._set_aside(found)
+        self.suspects, self.postponed, self.new = {}, set(), set()
+        ended = self.outcome.failed.keys() | self.outcome.skipped.keys()
+        pending = [n.key for n in self.plan if n.key not in found.finished and n.key not in ended]
+        if not pending:
+            return False
+        self._forget(pending)
+        groups = form_groups(self.plan, pending, self.store)
+        self.run_state.again(groups)
+        self._begin(groups)
+        return True
+
+    def _retry_tracker(self) -> bool:
+        """Records what is left; whether that has begun another pass."""
+        self.recorder.retry(last=True)
+        self._take_unreadable()
+        return self._begin_another_pass()
+
+    def _set_aside(self, found: Audit) -> None:
+        for key, reason in self.repair.set_aside(found, self.suspects).items():
+            if key not in self.outcome.failed:
+                self._forget([key])
+                self.run_state.failed(key)
+                self._fail(key, reason)
+                self._record(self.plan[key], reason)
+
+    def _forget(self, keys: Collection[str]) -> None:
+        """Takes nodes from those that are done."""
+        for done in (self.outcome.reused, self.outcome.finished):
+            for key in [key for key in done if key in keys]:
+                done.remove(key)
+                self.run_state.lost(key, reused=done is self.outcome.reused)
+
+    def _name_damage(self, damage: Mapping[str, str]) -> None:
+        for key in damage.keys() - self.outcome.damaged.keys():
+            self.outcome.damaged[key] = f"{damage[key]}; {REPAIR_REMEDY}."
+            self.display.note(self.outcome.damaged[key])
 
     def _step(self) -> None:
         results = self.executor.wait(_TICK)
@@ -168,7 +197,8 @@ class _Run:
         self._submit()
         for node, reason in records:
             self._record(node, reason)
-        self._retry_tracker()
+        self.recorder.retry()
+        self._take_unreadable()
         self.display.update(self.run_state)
 
     def _submit(self) -> None:
@@ -190,6 +220,7 @@ class _Run:
                     group.nodes,
                     self.executor.device,
                     self.executor.threads,
+                    self.repairs,
                 )
             )
             self.run_state.submitted(group.name)
@@ -197,56 +228,73 @@ class _Run:
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
         self.store.clear_progress(group.name)
+        for sentence in result.notes:
+            self.display.note(sentence)
         for key in [key for key in result.failed if self.store.complete(key)]:
             # Published by a worker that died before it returned its result.
             result.finished.append(key)
             del result.failed[key]
+        why = dict(result.damaged)
+        for key in [key for key in result.finished if not self.store.complete(key)]:
+            why[key] = f"{self.store.path(key)} was damaged when it had just been made"
+            result.finished.remove(key)
+        left = [key for key in group.keys if key not in {*result.finished, *result.failed}]
+        if why and self.repairs:
+            self.suspects |= why
+            self._postpone(left)
+        else:
+            reason = f"{'; '.join(why.values()) or 'The worker gave no reason'}; {REPAIR_REMEDY}."
+            result.failed |= dict.fromkeys(left, reason)
         self.run_state.ended(group.name, result)
         self.outcome.finished += result.finished
+        self.new |= set(result.finished)
         records: list[tuple[Node, str | None]] = [(self.plan[k], None) for k in result.finished]
         for key, reason in result.failed.items():
             records.append((self.plan[key], reason))
-            self.outcome.failed[key] = reason
-            last = (reason.strip() or "no reason given").splitlines()[-1]
-            self.display.note(f"{self.plan[key].component} {self.plan[key].name} failed: {last}")
-            for node in self.plan.downstream(key):
-                self._skip(node, key)
+            self._fail(key, reason)
         return records
+
+    def _fail(self, key: str, reason: str) -> None:
+        self.outcome.failed[key] = reason
+        last = (reason.strip() or "no reason given").splitlines()[-1]
+        self.display.note(f"{self.plan[key].component} {self.plan[key].name} failed: {last}")
+        for node in self.plan.downstream(key):
+            self._skip(node, key)
 
     def _skip(self, node: Node, because: str) -> None:
         if node.key in self.outcome.skipped or self.store.complete(node.key):
             return
         self.outcome.skipped[node.key] = because
-        for name, group in list(self.waiting.items()):
-            # The others of the group run without it.
-            group.nodes = [member for member in group.nodes if member.key != node.key]
-            if not group.nodes:
-                del self.waiting[name]
+        self._withdraw([node.key])
         self.run_state.skipped(node.key)
 
-    def _record(self, node: Node, reason: str | None) -> None:
-        if time.monotonic() < self.tracker_closed_until:
-            self.unrecorded.append((node, reason))
-            return
-        try:
-            if reason is None:
-                self.tracker.log_node(node, self.store.path(node.key))
-            else:
-                self.tracker.log_failure(node, reason)
-        except TrackingError as error:
-            if not self.tracker_warned:
-                self.display.note(f"{error} The work goes on.")
-                self.tracker_warned = True
-            self.outcome.unrecorded = str(error)
-            self.unrecorded.append((node, reason))
-            self.tracker_closed_until = time.monotonic() + _TRACKER_PAUSE
+    def _postpone(self, keys: Sequence[str]) -> None:
+        """Leaves nodes, and what needs them, to another pass."""
+        self.postponed |= set(keys)
+        for key in keys:
+            self._withdraw([node.key for node in self.plan.downstream(key)])
+        self.run_state.postponed()
 
-    def _retry_tracker(self, *, last: bool = False) -> None:
-        if last:
-            self.tracker_closed_until = float("-inf")
-        if not self.unrecorded or time.monotonic() < self.tracker_closed_until:
-            return
-        again, self.unrecorded = self.unrecorded, []
-        self.outcome.unrecorded = ""
-        for node, reason in again:
-            self._record(node, reason)
+    def _withdraw(self, keys: Collection[str]) -> None:
+        """Takes nodes from the waiting groups; the others of a group run without them."""
+        for name, group in list(self.waiting.items()):
+            group.nodes = [member for member in group.nodes if member.key not in keys]
+            if not group.nodes:
+                del self.waiting[name]
+
+    def _record(self, node: Node, reason: str | None) -> None:
+        self.recorder.record(node, reason)
+        self._take_unreadable()
+
+    def _take_unreadable(self) -> None:
+        """An artifact that the tracker could not read is made again, or named."""
+        if self.repairs:
+            self.suspects |= self.recorder.unreadable
+        else:
+            self._name_damage(
+                {
+                    key: f"{sentence}, of {self.plan[key].component} {self.plan[key].name}"
+                    for key, sentence in self.recorder.unreadable.items()
+                }
+            )
+        self.recorder.unreadable.clear()

@@ -23,9 +23,19 @@ from typing import Any, cast
 
 from components.core.files import write_json
 
-__all__ = ["FAILURE_FILE", "Job", "StopRequested", "TaskContext", "TaskFunction", "load_task"]
+__all__ = [
+    "FAILURE_FILE",
+    "READ",
+    "Job",
+    "StopRequested",
+    "TaskContext",
+    "TaskFunction",
+    "load_task",
+]
 
 FAILURE_FILE = "failure.txt"
+READ = ("metrics.json", "curves.npz", "params.json", "tags.json", "datasets.json")
+"""The files of an artifact that a tracker reads."""
 
 
 class StopRequested(Exception):  # noqa: N818 - a stop on request, no error

@@ -1,25 +1,27 @@
 """Computes a group of nodes in the present process, which an executor has chosen."""
 
-import importlib.metadata
 import os
-import platform
 import resource
 import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from components.core.sealed import content_digest, read_record, seal
+from components.core.integrity import DamagedFileError, damaged_path
+from components.core.sealed import content_digest, seal
+from components.core.version import code_version
+from flows.pipeline.computer import cpu_seconds, hardware
 from flows.pipeline.plan import Node
 from flows.pipeline.software import software
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
 
-__all__ = ["GroupCall", "GroupResult", "run_group"]
+__all__ = ["REPAIR_REMEDY", "GroupCall", "GroupResult", "run_group"]
+
+REPAIR_REMEDY = "runner.repair=recompute has it made again"
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class GroupCall:
             role, tags, cost.
         device: "cpu" or "cuda".
         threads: Threads to use.
+        repairs: Whether damaged work is thrown away and begun anew; it fails otherwise.
     """
 
     group: str
@@ -42,10 +45,17 @@ class GroupCall:
     nodes: tuple[Mapping[str, Any], ...]
     device: str = "cpu"
     threads: int = 1
+    repairs: bool = True
 
     @classmethod
     def of(
-        cls, group: str, root: Path, nodes: Sequence[Node], device: str = "cpu", threads: int = 1
+        cls,
+        group: str,
+        root: Path,
+        nodes: Sequence[Node],
+        device: str = "cpu",
+        threads: int = 1,
+        repairs: bool = True,
     ) -> "GroupCall":
         """Describes nodes, all of one task, as plain data."""
         described = tuple(
@@ -62,7 +72,7 @@ class GroupCall:
             }
             for node in nodes
         )
-        return cls(group, str(root), nodes[0].task, described, device, threads)
+        return cls(group, str(root), nodes[0].task, described, device, threads, repairs)
 
     @property
     def title(self) -> str:
@@ -73,19 +83,23 @@ class GroupCall:
 
 @dataclass
 class GroupResult:
-    """How the nodes of a group ended.
+    """How the nodes of a group ended; those in none of its parts have to be computed again.
 
     Attributes:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
         stopped: Keys whose computation the driver has stopped.
+        damaged: Why an input could not be read, by its key.
+        notes: What people should know, a sentence each.
     """
 
     group: str
     finished: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
     stopped: list[str] = field(default_factory=list)
+    damaged: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> GroupResult:
@@ -107,18 +121,33 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
             for work in store.work_folders():
                 if store.unfinished(work) & set(keys):
                     store.publish_ready(work)
-            pending = [node for node in call.nodes if not store.complete(node["key"])]
+            pending = [node for node in call.nodes if not _is_finished(store, call, node, result)]
             if pending:
                 _compute(store, call, pending, result, watch)
-        unmade = {*result.failed, *result.stopped}
-        result.finished = [key for key in keys if key not in unmade]
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
         reason = _reason(error, store)
-        result.failed.update({key: reason for key in keys if not store.path(key).is_dir()})
-        result.finished = [key for key in keys if key not in result.failed]
+        result.failed.update({key: reason for key in keys if not store.complete(key)})
+    unmade = {*result.failed, *result.stopped}
+    result.finished = [key for key in keys if key not in unmade and store.complete(key)]
     return result
+
+
+def _is_finished(
+    store: ArtifactStore, call: GroupCall, node: Mapping[str, Any], result: GroupResult
+) -> bool:
+    """Whether a node is finished; something damaged in its place is set aside."""
+    key = node["key"]
+    place = store.place(key)
+    try:
+        return place is not None and bool(store.check(key, large=False))
+    except DamagedFileError as error:
+        if not call.repairs:
+            raise
+        store.set_aside(key, place)
+        result.notes.append(f"{error.sentence}: {node['name']} is made again.")
+        return False
 
 
 def _compute(
@@ -128,14 +157,53 @@ def _compute(
     result: GroupResult,
     watch: Callable[[], None],
 ) -> None:
+    """Makes the nodes; damage decides by the place of the file what happens.
+
+    An input that is damaged is reported, for the driver to have it made again. Work that cannot be
+    continued is thrown away, once, and begun anew.
+    """
+    content: dict[str, str | None] = {}
+    for key in sorted({key for node in nodes for key in node["inputs"].values()}):
+        try:
+            content[key] = content_digest(store.check(key))
+        except DamagedFileError as error:
+            result.damaged[key] = error.sentence
+    if result.damaged:
+        return
     keys = [node["key"] for node in nodes]
     work = store.open_work(keys)
+    try:
+        _make(store, call, nodes, work, content, result, watch)
+    except Exception as error:
+        path = damaged_path(error)
+        if path is None:
+            raise
+        sentence = error.sentence if isinstance(error, DamagedFileError) else f"{path} is missing"
+        source = store.key_of(path)
+        if source in content:
+            result.damaged[source] = sentence
+            return
+        ours = path.is_relative_to(work.path) and work.resumed
+        if not ours or not call.repairs:
+            raise
+        result.notes.append(f"{sentence}: {call.title} begins anew.")
+        work = store.begin_anew(work, keys)
+        _make(store, call, nodes, work, content, result, watch)
+
+
+def _make(
+    store: ArtifactStore,
+    call: GroupCall,
+    nodes: list[Mapping[str, Any]],
+    work: Work,
+    content: Mapping[str, str | None],
+    result: GroupResult,
+    watch: Callable[[], None],
+) -> None:
+    """Runs the task in a work folder and publishes what it made."""
+    keys = [node["key"] for node in nodes]
     store.fresh_out(work, keys)
     jobs = [_job(store, work, node) for node in nodes]
-    read = {
-        key: content_digest(read_record(store.path(key)))
-        for key in {key for node in nodes for key in node["inputs"].values()}
-    }
     context = TaskContext(
         work=work.path,
         members=list(work.members),
@@ -150,7 +218,7 @@ def _compute(
         # A reused process keeps the thread count of its first task otherwise.
         sys.modules["torch"].set_num_threads(call.threads)
     context.progress(0.0)
-    started, clock, used = time.time(), time.monotonic(), _cpu_seconds()
+    started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
         task(jobs, context)
     except StopRequested:
@@ -161,7 +229,7 @@ def _compute(
         "started": started,
         "finished": time.time(),
         "wall_seconds": time.monotonic() - clock,  # the two times also change with the clock
-        "cpu_seconds": _cpu_seconds() - used,
+        "cpu_seconds": cpu_seconds() - used,
         "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "resumed": work.resumed,
         "device": call.device,
@@ -176,21 +244,15 @@ def _compute(
         elif not any(job.out.iterdir()):
             result.failed[job.key] = f"The task {call.task} wrote nothing for {job.name}."
         else:
-            content = {role: read[key] for role, key in node["inputs"].items()}
-            _describe(job.out, node, content, usage, node["cost"] / whole)
+            read = {role: content[key] for role, key in node["inputs"].items()}
+            _describe(job.out, node, read, usage, node["cost"] / whole)
             ready.append(job.key)
     store.mark_ready(work, ready)
-    store.publish_ready(work)
+    store.publish_ready(work, check=False)
 
 
 def _job(store: ArtifactStore, work: Work, node: Mapping[str, Any]) -> Job:
     inputs = {role: store.path(key) for role, key in node["inputs"].items()}
-    for role, folder in inputs.items():
-        if not folder.is_dir():
-            raise FileNotFoundError(
-                f"The input {role!r} of {node['name']} is missing ({folder}): "
-                "give the same command again, and it will be made."
-            )
     inputs |= {role: Path(folder) for role, folder in node["folders"].items()}
     return Job(node["key"], node["name"], dict(node["config"]), inputs, work.out(node["key"]))
 
@@ -208,7 +270,7 @@ def _describe(
     described |= {name: node[name] for name in ("inputs", "tags", "cost")}
     described |= {"content": dict(content)} | dict(usage)
     described |= {"share": share, "seconds": wall * share}
-    described |= {"hardware": hardware(usage["device"]), "package": _package_version()}
+    described |= {"hardware": hardware(usage["device"]), "package": code_version()}
     described |= {"software": software(usage["device"])}
     seal(out, described)
 
@@ -216,6 +278,8 @@ def _describe(
 def _reason(error: BaseException, store: ArtifactStore) -> str:
     text = "".join(traceback.format_exception(error)).rstrip()
     sentence = disk_error_message(error, store.root)
+    if isinstance(error, DamagedFileError):
+        sentence = f"{error.sentence}; {REPAIR_REMEDY}."
     if sentence is None and (
         isinstance(error, MemoryError) or "out of memory" in str(error).lower()
     ):
@@ -223,35 +287,3 @@ def _reason(error: BaseException, store: ArtifactStore) -> str:
             "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
         )
     return f"{text}\n{sentence}" if sentence else text
-
-
-def _cpu_seconds() -> float:
-    own = resource.getrusage(resource.RUSAGE_SELF)
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
-
-
-def _package_version() -> str:
-    try:
-        return importlib.metadata.version("proximity-bench")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
-
-
-@cache
-def hardware(device: str) -> str:
-    """The computer's processors, memory and software in one line, without its name."""
-    model = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-        size = f", {memory:.0f} GiB"
-    except (OSError, ValueError):
-        size = ""
-    line = f"{os.cpu_count()} x {model}{size}, Python {platform.python_version()}"
-    if device == "cuda" and "torch" in sys.modules:
-        line += f", {sys.modules['torch'].cuda.get_device_name()}"
-    return line

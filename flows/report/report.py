@@ -1,6 +1,5 @@
 """The report of a sweep: table and figures of everything that is finished."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,8 @@ from flows.report.films import film_notes
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
+
+_CARD = "dataset/card.json"
 
 
 @dataclass(frozen=True)
@@ -74,18 +75,18 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
         folder: Made if needed.
         plan: Of the sweep.
         store: With its artifacts.
+
+    Raises:
+        DamagedFileError: A file that the report is made of is missing or damaged.
     """
     folder.mkdir(parents=True, exist_ok=True)
     done = [node for node in plan if store.complete(node.key)]
     aggregations = [node for node in done if node.component == "aggregation"]
     generations = [node for node in done if node.component == "data_generation"]
-    summaries = [
-        json.loads((store.path(node.key) / "summary.json").read_text(encoding="utf-8"))
-        for node in aggregations
-    ]
-    cards = [
-        DatasetCard.load(store.path(node.key) / "dataset" / "card.json") for node in generations
-    ]
+    summaries = [store.read_json(node.key, "summary.json") for node in aggregations]
+    for node in generations:
+        store.check(node.key, (_CARD,))
+    cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
     table = result_table(summaries)
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))

@@ -1,12 +1,11 @@
 """Aggregation as a task function: from the returns of all seeds to the numbers of a table."""
 
-import zipfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from components.aggregation.statistics import pool_policies, summarise
+from components.core.arrays import load_arrays
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     inherit_datasets,
@@ -19,21 +18,13 @@ from flows.tasks.artifacts import (
 __all__ = ["aggregate"]
 
 
-def _load_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except (zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(f"{path} is damaged ({error}).") from error
-
-
 def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
     """Aggregation: `summary.json` holds the statistics of a (dataset, algorithm) pair."""
     for job in jobs:
         seeds = job.config["seeds"]
         stored = []
         for seed in seeds:
-            stored.append(read_input(job, f"seed{seed}", _load_arrays, "returns.npz"))
+            stored.append(read_input(job, f"seed{seed}", load_arrays, "returns.npz"))
         last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
         pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, N]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from components.core.integrity import DamagedFileError
 from components.data.dataset import OfflineDataset
 from flows.pipeline.task import Job
 
@@ -43,18 +44,18 @@ def write_curves(path: Path, curves: Mapping[str, tuple[Sequence[int], Sequence[
 
 
 def read_input(job: Job, role: str, reader: Callable[[Path], T], name: str) -> T:
-    """Read an input; a damaged one is named with its remedy.
+    """Read an input; whatever is wrong with it says where it lies.
 
     Raises:
-        ValueError: The input is damaged.
+        DamagedFileError: The input is damaged, or holds something else.
     """
-    folder = job.inputs[role]
+    path = job.inputs[role] / name
     try:
-        return reader(folder / name)
-    except (ValueError, FileNotFoundError) as error:
-        raise ValueError(
-            f"{error} To have it rebuilt, delete {folder} and give the same command again."
-        ) from error
+        return reader(path)
+    except DamagedFileError:
+        raise
+    except ValueError as error:
+        raise DamagedFileError(str(error), path) from error
 
 
 def open_dataset(job: Job) -> OfflineDataset:

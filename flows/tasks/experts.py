@@ -7,12 +7,11 @@ chosen expert reaches a learner.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from components.core.files import read_json
+from components.core.integrity import load_json
 from components.core.random_streams import lane_generator, lane_key
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
@@ -65,8 +64,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
     for job in jobs:
         config = job.config
         reached = {
-            seed: read_input(job, f"seed{seed}", _read_reached, _REACHED)
-            for seed in config["seeds"]
+            seed: read_input(job, f"seed{seed}", load_json, _REACHED) for seed in config["seeds"]
         }
         # An undefined return would neither be less nor greater than any other.
         finite = [seed for seed in reached if math.isfinite(reached[seed]["return"])]
@@ -105,10 +103,3 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         (job.out / "expert").mkdir()
         Expert(policy, card).save(job.out / "expert")
         write_numbers(job.out / "metrics.json", {**asdict(returns), "seed": best})
-
-
-def _read_reached(path: Path) -> dict[str, Any]:
-    found = read_json(path)
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} is missing or damaged.")
-    return found

@@ -1,6 +1,5 @@
 """The results of a search: tuned settings, a sentence about them, the best losses so far."""
 
-import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from datetime import date
@@ -25,7 +24,7 @@ def tuned_model(study: Study, store: ArtifactStore) -> TunedModel | None:
     best, start, specification = study.best(), study.start_trial(), study.specification
     if best is None:
         return None
-    card = store.path(specification.data.key) / "dataset" / "card.json"
+    card = store.read_json(specification.data.key, "dataset/card.json")
     started = start is not None and start.state is TrialState.COMPLETE
     return TunedModel(
         dataset=specification.dataset,
@@ -35,7 +34,7 @@ def tuned_model(study: Study, store: ArtifactStore) -> TunedModel | None:
         trials=study.ended,
         validation_loss=best.value,
         default_validation_loss=start.value if started else None,
-        data_digest=json.loads(card.read_text(encoding="utf-8"))["digest"],
+        data_digest=card["digest"],
         data_key=specification.data.key,
         date=date.today().isoformat(),
         settings=asdict(study.config(best)),

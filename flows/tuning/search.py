@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from optuna.trial import Trial, TrialState
 
-from components.core.files import read_json
+from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.locks import locked
@@ -207,7 +207,7 @@ class _Search:
         trial.set_user_attr("key", node.key)
         self.begun(node)
         group = _group(node.key)
-        if self.store.complete(node.key):
+        if self.store.intact(node.key):
             self._evaluated(study, trial, node)
         elif group in self.running:
             self.running[group].trials.append(trial)
@@ -257,6 +257,8 @@ class _Search:
     def _settle(self, result: GroupResult) -> None:
         call = self.running.pop(result.group)
         self._report(result.group, call)
+        for sentence in result.notes:
+            self._say(sentence)
         for trial in call.trials:
             if self.store.complete(call.node.key):
                 self._evaluated(call.study, trial, call.node)
@@ -264,12 +266,17 @@ class _Search:
                 call.study.prune(trial)
                 self._ended(call.study, trial, "pruned, worse than the median of the others")
             else:
-                reason = result.failed.get(call.node.key, "The worker gave no reason.")
+                damaged = next(iter(result.damaged.values()), "The worker gave no reason")
+                reason = result.failed.get(call.node.key, f"{damaged}.")
                 self._failed(call.study, trial, reason)
         self.store.clear_progress(result.group)
 
     def _evaluated(self, study: Study, trial: Trial, node: Node) -> None:
-        metrics = read_json(self.store.path(node.key) / "metrics.json")
+        try:
+            metrics = self.store.read_json(node.key, "metrics.json")
+        except DamagedFileError as error:
+            self._failed(study, trial, str(error))
+            return
         loss = metrics.get("validation_loss") if isinstance(metrics, dict) else None
         if loss is None or not math.isfinite(loss):
             self._failed(study, trial, f"The held-out loss is {loss}.")

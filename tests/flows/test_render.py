@@ -19,13 +19,14 @@ from flows.command_line import run_door
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
 from tests.components.synthetic import constant_policy, make_log
+from tests.flows.pipeline.toys import record_of
 
 DATA, HOPPING, TWIN, ADAPTIVE, INDUSTRIAL = (letter * 32 for letter in "abcde")
 MACHINE_DATA = "f" * 32
 
 
 def finish(store: ArtifactStore, key: str, name: str, component: str, **inputs: str) -> Path:
-    record = {"key": key, "name": name, "component": component, "inputs": inputs}
+    record = record_of(key, name=name, component=component, inputs=inputs)
     write_json(store.path(key) / "node.json", record)
     return store.path(key)
 

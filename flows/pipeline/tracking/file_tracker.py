@@ -13,7 +13,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from components.core.files import read_json
+from components.core.integrity import load_json
+from components.core.sealed import check_folder
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.json_lines import append_line, mend_last_line, read_lines
 from flows.pipeline.plan import Node, Plan
@@ -166,6 +167,7 @@ class FileTracker:
 
         Raises:
             TrackingError: the file cannot be written.
+            DamagedFileError: the artifact cannot be read.
         """
         if not self.file.has("node", node.key):
             self.file.write("node", node.key, describe_node(node) | _result(folder))
@@ -215,10 +217,11 @@ def describe_node(node: Node) -> dict[str, Any]:
 
 def _result(folder: Path) -> dict[str, Any]:
     """Numbers and times from an artifact's files; curves stay there."""
-    record = read_json(folder / "node.json") or {}
+    metrics = folder / "metrics.json"
+    record = check_folder(folder, (metrics.name,))
     measured = ("started", "finished", "seconds", "device", "hardware", "package")
     return {
         "folder": f"{folder.parent.name}/{folder.name}",
-        "metrics": read_json(folder / "metrics.json") or {},
+        "metrics": load_json(metrics) if metrics.exists() else {},
         **{name: record[name] for name in measured if name in record},
     }

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
 from flows.pipeline.tracking.mlflow_address import StoreAddress, path_of
@@ -218,7 +219,7 @@ class MlflowExperiment:
         """
         try:
             yield
-        except TrackingError:
+        except (TrackingError, DamagedFileError):  # the latter is about an artifact
             raise
         except Exception as error:
             # The cause is left out: its text and those of its own causes may hold secrets.

@@ -12,7 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from components.core.files import read_json
+from components.core.arrays import load_arrays
+from components.core.integrity import load_json
+from components.core.sealed import check_folder
+from flows.pipeline.task import READ
 
 __all__ = ["RunContent", "flat", "link_tree", "read_content"]
 
@@ -41,14 +44,18 @@ class RunContent:
 
 
 def read_content(folder: Path) -> RunContent:
-    """Reads an artifact folder; the files of the task contract are all optional."""
-    record = read_json(folder / "node.json")
+    """Reads an artifact folder; the files of the task contract are all optional.
+
+    Raises:
+        DamagedFileError: one of them, or `node.json`, is damaged.
+    """
+    record = check_folder(folder, READ)
     last = int(1000 * record["finished"])
     first = int(1000 * record["started"])
     metrics = _curves(folder / "curves.npz", first, last)
     # A name that is both a curve and a final number keeps its curve and gets the number at its end.
     ends = {name: step for name, _, _, step in metrics}
-    finals = dict(read_json(folder / "metrics.json") or {})
+    finals = dict(_optional(folder / "metrics.json") or {})
     # Named to sort last: the charts page opens with what was learned, not with the cost.
     finals |= {f"usage/{name}": record[name] for name in _MEASURED if name in record}
     metrics += [
@@ -56,34 +63,37 @@ def read_content(folder: Path) -> RunContent:
         for name, value in finals.items()
         if value is not None
     ]
-    params = flat(read_json(folder / "params.json") or {})
+    params = flat(_optional(folder / "params.json") or {})
     params |= {name: str(record[name]) for name in ("hardware", "package") if name in record}
     return RunContent(
         record=record,
         params=params,
-        tags=read_json(folder / "tags.json") or {},
+        tags=_optional(folder / "tags.json") or {},
         metrics=metrics,
-        datasets=read_json(folder / "datasets.json") or [],
+        datasets=_optional(folder / "datasets.json") or [],
     )
+
+
+def _optional(path: Path) -> Any:
+    return load_json(path) if path.exists() else None
 
 
 def _curves(path: Path, first: int, last: int) -> list[tuple[str, float, int, int]]:
     if not path.exists():
         return []
     points = []
-    with np.load(path, allow_pickle=False) as arrays:
-        names = [name.removesuffix("/value") for name in arrays.files if name.endswith("/value")]
-        for name in names:
-            steps, values = arrays[f"{name}/step"], arrays[f"{name}/value"]
-            if len(values) == 0:
-                continue
-            kept = np.unique(np.linspace(0, len(values) - 1, _POINTS).round().astype(int))
-            # When each point was reached is not stored; a steady pace is close enough for the axis.
-            times = first + (last - first) * (kept + 1) // len(values)
-            points += [
-                (_name(name), float(values[i]), int(at), int(steps[i]))
-                for i, at in zip(kept, times, strict=True)
-            ]
+    arrays = load_arrays(path)
+    for name in (name.removesuffix("/value") for name in arrays if name.endswith("/value")):
+        steps, values = arrays[f"{name}/step"], arrays[f"{name}/value"]
+        if len(values) == 0:
+            continue
+        kept = np.unique(np.linspace(0, len(values) - 1, _POINTS).round().astype(int))
+        # When each point was reached is not stored; a steady pace is close enough for the axis.
+        times = first + (last - first) * (kept + 1) // len(values)
+        points += [
+            (_name(name), float(values[i]), int(at), int(steps[i]))
+            for i, at in zip(kept, times, strict=True)
+        ]
     return points
 
 

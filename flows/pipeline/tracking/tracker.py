@@ -40,7 +40,11 @@ class Tracker(Protocol):
         """
 
     def log_node(self, node: Node, folder: Path) -> None:
-        """Records a finished node with its artifact folder; adds nothing to one recorded before."""
+        """Records a finished node with its artifact folder; adds nothing to one recorded before.
+
+        Raises:
+            DamagedFileError: a file of the artifact is damaged.
+        """
 
     def log_failure(self, node: Node, reason: str) -> None:
         """Records a failed node with a traceback or a sentence."""

@@ -160,13 +160,13 @@ def test_large_files_are_hashed_once_per_process(
 
 def test_the_error_keeps_its_file_between_processes() -> None:
     for kind in (DamagedFileError, MissingFileError):
-        error = kind(Path("a/b"), "is damaged", "mend it")
+        error = kind("a/b is damaged", Path("a/b"), "mend it")
         again = pickle.loads(pickle.dumps(error))
         assert type(again) is kind
         assert str(again) == str(error) == "a/b is damaged; mend it."
         assert damaged_path(again) == Path("a/b")
         assert isinstance(again, ValueError)
-    assert isinstance(MissingFileError(Path("a"), "is missing"), FileNotFoundError)
+    assert isinstance(MissingFileError("a is missing"), FileNotFoundError)
     with pytest.raises(FileNotFoundError) as caught:
         Path("/nowhere/at/all").read_bytes()
     assert damaged_path(caught.value) == Path("/nowhere/at/all")

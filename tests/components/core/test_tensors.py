@@ -7,12 +7,16 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors, save_tensors
 
 TENSORS = {
     "weight": torch.arange(6.0).view(2, 3),
     "turned": torch.arange(6.0).view(2, 3).T,
     "count": torch.tensor([3, 4]),
+    "one": torch.tensor(5.0).expand(1),
+    "none": torch.zeros(0, 2),
+    "true": torch.tensor([True, False]),
     "loss": torch.tensor([float("inf"), float("nan")]),
 }
 
@@ -67,6 +71,42 @@ def test_damaged_files_are_named(stored: Path, damage: str) -> None:
     )
     with pytest.raises(ValueError, match=r"state\.safetensors is damaged"):
         load_tensors(stored)
+
+
+def test_no_byte_can_change_unseen(stored: Path) -> None:
+    whole, (expected, header) = stored.read_bytes(), load_tensors(stored)
+    length = int.from_bytes(whole[:8], "little")
+    blank = {8 + length - 1 - n for n in range(length) if whole[8 + length - 1 - n :][:1] == b" "}
+    for position in range(len(whole)):
+        changed = bytearray(whole)
+        changed[position] ^= 1
+        stored.write_bytes(changed)
+        try:
+            tensors, found = load_tensors(stored)
+        except DamagedFileError as error:
+            assert error.path == stored  # noqa: PT017 - most positions raise, some are blanks
+            continue
+        assert position in blank
+        assert found == header
+        assert tensors.keys() == expected.keys()
+
+
+def test_files_of_older_versions_have_no_digest_and_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "old.safetensors"
+    save_file({"x": torch.ones(2)}, path, metadata={"header": '{"done": 3}'})
+    tensors, header = load_tensors(path)
+    assert tensors["x"].tolist() == [1.0, 1.0]
+    assert header == {"done": 3}
+
+
+def test_a_tensor_that_is_not_there_is_named_with_its_file(stored: Path) -> None:
+    with pytest.raises(DamagedFileError, match=r"state\.safetensors lacks 'bias'"):
+        load_tensors(stored)[0]["bias"]
+
+
+def test_equal_tensors_make_equal_files(stored: Path, tmp_path: Path) -> None:
+    save_tensors(tmp_path / "again", TENSORS, {"done": 3, "members": ["a", "b"]})
+    assert (tmp_path / "again").read_bytes() == stored.read_bytes()
 
 
 def test_safetensors_of_others_are_refused(tmp_path: Path) -> None:

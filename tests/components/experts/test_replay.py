@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from components.core.integrity import DamagedFileError
 from components.experts.replay import Replay
 
 CPU = torch.device("cpu")
@@ -51,14 +52,14 @@ def test_a_checkpointed_count_is_restored_and_what_came_after_is_overwritten(
     files = [tmp_path / f"{lane}" for lane in range(LANES)]
     whole = filled(files)
     again = Replay(LANES, 8, 3, 2, CPU, files)
-    again.restore(3)
+    again.restore(3, filled([tmp_path / f"short{lane}" for lane in range(LANES)], 3).digests())
     assert again.count == 3
     index = torch.tensor([[0, 1, 2], [2, 0, 1]])
     assert torch.equal(again.batch(index).observations, whole.batch(index).observations)
     new = numbers(9, LANES, 3)
     again.append(new, new[:, :2], new[:, 0], np.zeros(LANES, dtype=np.bool_), new)
     last = Replay(LANES, 8, 3, 2, CPU, files)
-    last.restore(4)
+    last.restore(4, again.digests())
     newest = last.batch(torch.tensor([[3], [3]])).observations[:, 0]
     np.testing.assert_array_equal(newest.numpy(), new.astype(np.float32))
 
@@ -67,13 +68,20 @@ def test_one_lane_can_go_on_without_the_other(tmp_path: Path) -> None:
     files = [tmp_path / f"{lane}" for lane in range(LANES)]
     whole = filled(files)
     alone = Replay(1, 8, 3, 2, CPU, files[1:])
-    alone.restore(STEPS)
+    alone.restore(STEPS, whole.digests()[1:])
     index = torch.tensor([[0, 4]])
     assert torch.equal(alone.batch(index).actions[0], whole.batch(index.expand(2, 2)).actions[1])
 
 
-def test_a_file_that_is_too_short_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("damage", "said"), [("short", "fewer transitions than"), ("flipped", "other transitions than")]
+)
+def test_a_damaged_file_is_named(tmp_path: Path, damage: str, said: str) -> None:
     files = [tmp_path / f"{lane}" for lane in range(LANES)]
-    filled(files)
-    with pytest.raises(ValueError, match=r"0 holds fewer transitions than its checkpoint"):
-        Replay(LANES, 8, 3, 2, CPU, files).restore(STEPS + 1)
+    digests = filled(files).digests()
+    content = bytearray(files[0].read_bytes())
+    content[40] ^= 1
+    files[0].write_bytes(content if damage == "flipped" else content[:-1])
+    with pytest.raises(DamagedFileError, match=f"0 holds {said}.* its checkpoint") as caught:
+        Replay(LANES, 8, 3, 2, CPU, files).restore(STEPS, digests)
+    assert caught.value.path == files[0]

@@ -8,6 +8,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from components.core.integrity import DamagedFileError
+from components.core.sealed import seal
 from components.reporting.stored import (
     ReportNodes,
     figures_over_proximity,
@@ -42,6 +44,7 @@ def node(store: Path, key: str, file: str, content: Any) -> None:
     path = store / "nodes" / key / file
     path.parent.mkdir(parents=True)
     path.write_text(json.dumps(content), encoding="utf-8")
+    seal(store / "nodes" / key, {"key": key})
 
 
 def write_report(
@@ -89,6 +92,18 @@ def test_a_table_without_its_artifacts_can_still_be_read(tmp_path: Path) -> None
     assert len(report.table) == 2
     assert not report.summaries
     assert not figures_over_proximity(report)
+
+
+@pytest.mark.parametrize("name", ["3/summary.json", "data-ours/dataset/card.json"])
+def test_a_damaged_artifact_is_named(store: Path, name: str) -> None:
+    path = store / "nodes" / name
+    whole = path.read_text()
+    path.write_text(whole.replace("9", "8", 1))
+    with pytest.raises(DamagedFileError, match=f"{path} is damaged .*give the command of its sw"):
+        open_report(store)
+    path.unlink()
+    with pytest.raises(DamagedFileError, match=f"{path} is missing; give the command of its sw"):
+        open_report(store)
 
 
 def test_a_report_of_an_older_version_asks_for_its_command(store: Path) -> None:

@@ -7,6 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from components.core.integrity import DamagedFileError
+from components.core.tensors import load_tensors, save_tensors
 from components.training.loop import Curves, Schedule, TrainingLoop, adam
 
 NAMES = ("a", "b", "c")
@@ -101,6 +103,42 @@ def test_a_checkpoint_of_other_lanes_is_refused(tmp_path: Path) -> None:
     train(Counter(("a", "b")), checkpoint, ("a", "b"))
     with pytest.raises(ValueError, match=r"c\.safetensors is a checkpoint of .* lacks \['c'\]"):
         train(Counter(("a", "c")), checkpoint, ("a", "c"))
+
+
+@pytest.mark.parametrize(
+    ("tensors", "header", "said"),
+    [
+        ({}, {"format": 0}, r"written by another version .*format 0"),
+        ({}, {"package": "0.0.1"}, r"written by another version .*version 0\.0\.1"),
+        ({}, {"format": ...}, r"written by another version .*format None"),
+        ({"learner.total": ...}, {}, r"no checkpoint of this training .*total"),
+        ({"learner.other": torch.zeros(3)}, {}, r"unexpected .*: other\)"),
+        ({"learner.total": torch.zeros(3, 2)}, {}, r"of another shape: total\)"),
+        ({"learner.total": torch.zeros(3).double()}, {}, r"of another shape: total\)"),
+        ({"learner.total": torch.zeros(2)}, {}, "no checkpoint of this training"),
+        ({"curve.total": ...}, {}, "lacks 'curve.total'|no checkpoint of this training"),
+        ({}, {"members": 3}, "no checkpoint of this training"),
+        ({}, {"done": None}, "no checkpoint of this training"),
+        ({}, {"curve_steps": ...}, "no checkpoint of this training"),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_named(
+    tmp_path: Path, tensors: dict, header: dict, said: str
+) -> None:
+    checkpoint = tmp_path / "c.safetensors"
+    with pytest.raises(RuntimeError, match="killed"):
+        train(Counter(dies_at=10), checkpoint)
+    stored, told = load_tensors(checkpoint)
+    stored, told = dict(stored) | tensors, told | header
+    save_tensors(
+        checkpoint,
+        {name: value for name, value in stored.items() if value is not ...},
+        {name: value for name, value in told.items() if value is not ...},
+    )
+    with pytest.raises(DamagedFileError, match=rf"c\.safetensors .*{said}") as caught:
+        train(Counter(), checkpoint)
+    assert caught.value.path == checkpoint
+    assert "delete it to train from the beginning" in str(caught.value)
 
 
 def test_stopping_early_is_remembered(tmp_path: Path) -> None:

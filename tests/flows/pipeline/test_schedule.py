@@ -7,13 +7,14 @@ import pytest
 from rich.console import Console
 
 from components.core.files import write_json
+from components.core.sealed import seal
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.run_state import ComponentState, RunState
 from flows.pipeline.schedule import CostModel, Group, form_groups, simulate_schedule
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
-from tests.flows.pipeline.toys import node
+from tests.flows.pipeline.toys import node, record_of
 
 
 @pytest.fixture
@@ -135,10 +136,7 @@ def test_lines_are_shown_once_or_kept_in_place(tmp_path: Path, terminal: bool) -
     made = store.work / "made"
     made.mkdir()
     source: Node = groups[0].nodes[0]
-    write_json(
-        made / "node.json",
-        {"key": source.key, "component": "data", "cost": 1.0, "seconds": 1.0, "tags": {}},
-    )
+    seal(made, record_of(source.key, component="data"))
     store.publish(made, source.key)
     run_state.submitted(groups[0].name)
     run_state.ended(groups[0].name, GroupResult(groups[0].name, finished=[source.key]))

@@ -9,9 +9,12 @@ from typing import Any
 import pytest
 
 from components.core.files import read_json, write_json
+from components.core.integrity import DamagedFileError
+from components.core.sealed import seal
 from flows.pipeline.errors import StoreError
 from flows.pipeline.locks import locked
 from flows.pipeline.store import ArtifactStore, disk_error_message
+from tests.flows.pipeline.toys import record_of
 
 A, B, C = (letter * 32 for letter in "abc")
 
@@ -24,7 +27,7 @@ def store(tmp_path: Path) -> ArtifactStore:
 def make(store: ArtifactStore, key: str) -> None:
     folder = store.work / f"made-{key}"
     folder.mkdir()
-    write_json(folder / "node.json", {"key": key})
+    seal(folder, record_of(key))
     store.publish(folder, key)
 
 
@@ -37,11 +40,13 @@ def test_publishing_twice_keeps_the_first_and_leaves_nothing_behind(store: Artif
     assert list(store.work.iterdir()) == []
 
 
-def test_damaged_artifact_is_named_with_the_remedy(store: ArtifactStore) -> None:
+def test_damaged_artifact_is_unfinished_and_named_with_the_remedy(store: ArtifactStore) -> None:
     make(store, A)
     (store.path(A) / "node.json").write_text("{half")
-    with pytest.raises(StoreError, match=f"{A}.*delete that folder"):
-        store.complete(A)
+    assert not store.complete(A)
+    assert list(store.records()) == []
+    with pytest.raises(DamagedFileError, match=f"{A}.*node.json is damaged.*; give the command"):
+        store.record(A)
 
 
 def test_folder_that_is_a_file_is_refused_in_one_sentence(tmp_path: Path) -> None:
@@ -90,7 +95,7 @@ def test_work_that_another_process_removes_meanwhile_is_passed_over(
             store.discard(gone)
         return content
 
-    monkeypatch.setattr("flows.pipeline.store.read_json", read_and_lose)
+    monkeypatch.setattr("flows.pipeline.work.read_json", read_and_lose)
     assert store.work_folders() == [kept]
 
 
@@ -115,7 +120,7 @@ def test_repair_publishes_what_was_ready_and_removes_what_is_over(store: Artifac
     work = store.open_work([A, B])
     store.fresh_out(work, [A, B])
     for key in (A, B):
-        write_json(work.out(key) / "node.json", {"key": key})
+        seal(work.out(key), record_of(key))
     store.mark_ready(work, [A, B])
     store.publish(work.out(A), A)  # ... and here the process was killed
     store.repair()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors
 from components.data.dataset import OfflineDataset
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
@@ -262,8 +263,9 @@ def test_a_pool_of_twenty_snapshots_takes_the_last_two_of_every_seed(
     assert point["mean"] == np.mean([18.0, 19.0, 118.0, 119.0])
 
 
-def test_damaged_inputs_are_named_with_their_remedy(plan: Plan, tmp_path: Path) -> None:
+def test_damaged_inputs_are_named(plan: Plan, tmp_path: Path) -> None:
     [node] = [n for n in plan if n.name == "td3_bc/bad-0.4/seed0"]
     job = Job(node.key, node.name, dict(node.config), {"dataset": tmp_path}, tmp_path)
-    with pytest.raises(ValueError, match=r"no dataset in .*card\.json is missing.* delete "):
+    with pytest.raises(DamagedFileError, match=r"no dataset in .*card\.json is missing") as caught:
         load_task(node.task)([job], TaskContext(tmp_path))
+    assert caught.value.path == tmp_path / "dataset" / "card.json"

@@ -72,7 +72,6 @@ def test_ray_runs_a_plan_and_survives_its_workers(
         (16, 1, 2, 0.4, 4),  # no task takes parts of two GPUs
         (16, 1, 1, 0.1, 10),
         (16, 6, 4, 1.0, 2),  # the processors are
-        (1, 2, 1, 1.0, 1),  # Ray says at its start that there is no place
     ],
 )
 def test_places_are_limited_by_processors_and_by_shares_of_gpus(
