@@ -18,8 +18,8 @@ from components.environments.systems import SYSTEMS
 __all__ = ["StoredLog"]
 
 
-_NO_SYSTEM: Final = ("", "none")
-"""What a card says of a plant without a simulator."""
+_NO_SYSTEM: Final = "none"
+"""What a card may say of a plant without a simulator, if it says anything."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StoredLog:
             ValueError: its card cannot be read, or names a system that is not registered.
         """
         card = self._opened(check=False).card
-        if card.environment not in (*_NO_SYSTEM, *SYSTEMS):
+        if card.environment and card.environment not in (_NO_SYSTEM, *SYSTEMS):
             raise ValueError(
                 f"The card in {self.folder} names the system {card.environment!r}; registered are "
                 f"{', '.join(SYSTEMS)}. Correct `environment`, or leave it empty where there is "

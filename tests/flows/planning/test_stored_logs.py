@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,8 +163,8 @@ def test_a_mistyped_system_on_the_card_is_refused(project: Path) -> None:
         benchmark_plan(chosen("algorithms=[bc]"))
 
 
-@pytest.mark.parametrize("word", ["", "none"])
-def test_a_card_may_say_that_there_is_no_system(project: Path, word: str) -> None:
+@pytest.mark.parametrize("word", ["", "none", None])
+def test_a_card_may_say_that_there_is_no_system(project: Path, word: Any) -> None:
     card = dataclasses.replace(LOG.card, environment=word)
     replaced(project, dataclasses.replace(LOG, card=card))
     assert "evaluation" not in benchmark_plan(chosen("algorithms=[bc]")).counts()
