@@ -38,8 +38,8 @@ def _of_our_database(text: str, address: StoreAddress) -> str:
     database = address.database
     if re.search("not a database|malformed|no such table: (experiments|alembic)", text):
         return (
-            f"MLflow's database {database} is damaged; {_SAFE}: set it aside (mv mlflow.db "
-            f"mlflow-damaged.db, in its folder) and {_AGAIN}, which records finished nodes anew."
+            f"MLflow's database {database} is damaged; {_SAFE}: set it aside (mkdir damaged; mv "
+            f"{database.name}* damaged/, in its folder) and {_AGAIN}, which records all nodes anew."
         )
     if "database is locked" in text:
         return (

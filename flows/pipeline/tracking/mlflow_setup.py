@@ -5,6 +5,7 @@ import logging
 import os
 import sqlite3
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,10 @@ def make_database(address: StoreAddress) -> None:
     young = root / ".mlflow-young.db"
     for leftover in root.glob(f"{young.name}*"):
         leftover.unlink()
+    for end in ("-wal", "-shm"):
+        # Changes of a database that was taken away: SQLite would apply them to the new one.
+        with suppress(FileNotFoundError):
+            path.with_name(path.name + end).rename(path.with_name(f"{path.name}{end}-aside"))
     store = SqlAlchemyStore(sqlite_address(young), address.artifacts)
     store.engine.dispose()
     connection = sqlite3.connect(young)

@@ -44,9 +44,9 @@ def version(revision: str) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (overwrite, "is damaged; artifacts on disk are safe: set it aside (mv mlflow.db mlflow-da"),
-        (cut, "is damaged; artifacts on disk are safe: set it aside (mv mlflow.db mlflow-da"),
-        (foreign, "is damaged; artifacts on disk are safe: set it aside (mv mlflow.db mlflow-da"),
+        (overwrite, "is damaged; artifacts on disk are safe: set it aside (mkdir damaged; mv mlfl"),
+        (cut, "is damaged; artifacts on disk are safe: set it aside (mkdir damaged; mv mlfl"),
+        (foreign, "is damaged; artifacts on disk are safe: set it aside (mkdir damaged; mv mlfl"),
         (version("ffff00001111"), "A newer MLflow has written the database"),
         (version("451aebb31d03"), "it with: mlflow db upgrade 'sqlite+pysqlite:///"),
     ],

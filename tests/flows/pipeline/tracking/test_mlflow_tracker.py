@@ -98,6 +98,7 @@ def test_artifacts_are_second_names_of_the_stored_files(home: Path) -> None:
 def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> None:
     bare.mkdir()
     (bare / "mlflow.db").touch()  # an empty file is none
+    (bare / "mlflow.db-wal").write_bytes(b"changes of a database that was set aside")
     (bare / ".mlflow-young.db").write_bytes(b"half a database")
     _, tracker = run(bare, small(bare))
     assert len(runs(tracker, "node")) == 2
@@ -105,6 +106,7 @@ def test_database_is_made_in_wal_mode_after_a_maker_was_killed(bare: Path) -> No
         assert database.execute("pragma journal_mode").fetchone() == ("wal",)
     database.close()
     assert not list(bare.glob(".mlflow-young*"))
+    assert (bare / "mlflow.db-wal-aside").read_bytes().startswith(b"changes of")
 
 
 def test_reuse_marks_the_run_and_makes_no_second_one(home: Path) -> None:
