@@ -5,15 +5,23 @@ error removes the temporary file; a killed process leaves it behind, hidden.
 """
 
 import json
+import math
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_json", "replacing", "temporary_name", "write_json", "write_text"]
+__all__ = [
+    "read_json",
+    "replacing",
+    "temporary_name",
+    "without_undefined",
+    "write_json",
+    "write_text",
+]
 
 
 @contextmanager
@@ -56,8 +64,23 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON."""
-    write_text(path, json.dumps(value, indent=1))
+    """Write a value as JSON.
+
+    Raises:
+        ValueError: It holds numbers that are not finite, see :func:`without_undefined`.
+    """
+    write_text(path, json.dumps(value, indent=1, allow_nan=False))
+
+
+def without_undefined(value: Any) -> Any:
+    """A JSON value with None in the place of numbers that are not finite: JSON has none of them."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: without_undefined(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [without_undefined(part) for part in value]
+    return value
 
 
 def read_json(path: Path) -> Any:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from components.core.cards import CardFormat
 from components.core.files import read_json, write_json
 from components.reporting.figures import proximity_figure
-from components.reporting.tables import read_results
+from components.reporting.tables import read_results, with_undefined
 
 __all__ = [
     "ReportNodes",
@@ -132,7 +132,9 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
     returns = {
         name: float(card["first_window_return_mean"]) for name, card in cards.items() if card
     }
-    return StoredReport(table.parent, read_results(table), [s for s in summaries if s], returns)
+    return StoredReport(
+        table.parent, read_results(table), [with_undefined(s) for s in summaries if s], returns
+    )
 
 
 def figures_over_proximity(report: StoredReport) -> dict[str, Figure]:

@@ -13,10 +13,18 @@ from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.stored import ReportNodes
-from components.reporting.tables import ended_notes, markdown_table, result_table, results_csv
+from components.reporting.tables import (
+    ended_notes,
+    markdown_table,
+    result_table,
+    results_csv,
+    undefined_notes,
+    with_undefined,
+)
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.report.films import film_notes
+from flows.report.fits import fit_notes
 
 __all__ = ["Report", "write_report"]
 
@@ -30,19 +38,23 @@ class Report:
         table: One row per dataset, algorithm and proximity.
         summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
+        fit_notes: Sentences about models whose fit ended early.
     """
 
     files: Sequence[Path]
     table: pd.DataFrame
     summaries: Sequence[Mapping[str, Any]]
     without_system: Sequence[str]
+    fit_notes: Sequence[str] = ()
 
     @property
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
         reason = "has no system to evaluate on: its policies are stored but not evaluated."
         return [
+            *self.fit_notes,
             *ended_notes(self.summaries),
+            *undefined_notes(self.summaries),
             *(f"{name} {reason}" for name in self.without_system),
         ]
 
@@ -79,13 +91,14 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
         json.loads((store.path(node.key) / "summary.json").read_text(encoding="utf-8"))
         for node in aggregations
     ]
+    summaries = [with_undefined(summary) for summary in summaries]
     cards = [
         DatasetCard.load(store.path(node.key) / "dataset" / "card.json") for node in generations
     ]
     table = result_table(summaries)
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))
-    report = Report(files, table, summaries, _without_system(plan))
+    report = Report(files, table, summaries, _without_system(plan), fit_notes(done, store))
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
     text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from components.core.files import read_json
+from components.core.files import read_json, without_undefined
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.json_lines import append_line, read_lines, remove_partial_line
 from flows.pipeline.plan import Node, Plan
@@ -80,7 +80,7 @@ class SweepFile:
         """
         if self._path is None:
             raise TrackingError("No sweep is open in the file tracker: open one before it writes.")
-        fields = {"event": event, "about": about, **content}
+        fields = without_undefined({"event": event, "about": about, **content})
         if _text(fields) == _text(self._newest.get(about, {})):
             return
         line = {"time": round(time.time(), 3), **fields}
@@ -90,7 +90,7 @@ class SweepFile:
 
 
 def _text(event: Mapping[str, Any]) -> str:
-    """An event without its time; as text, because a NaN equals no other one."""
+    """An event without its time, as its line has it."""
     fields = {name: value for name, value in event.items() if name != "time"}
     return json.dumps(fields, default=str, sort_keys=True)
 
