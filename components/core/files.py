@@ -9,15 +9,24 @@ What must survive one is therefore handed to the disk (`sync`) before it gets it
 
 import errno
 import json
+import math
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_json", "replacing", "sync", "temporary_name", "write_json", "write_text"]
+__all__ = [
+    "read_json",
+    "replacing",
+    "sync",
+    "temporary_name",
+    "without_undefined",
+    "write_json",
+    "write_text",
+]
 
 
 @contextmanager
@@ -92,8 +101,23 @@ def write_text(path: Path, text: str, *, durable: bool = False) -> None:
 
 
 def write_json(path: Path, value: Any, *, durable: bool = False) -> None:
-    """Write a value as JSON; see :func:`replacing` for ``durable``."""
-    write_text(path, json.dumps(value, indent=1), durable=durable)
+    """Write a value as JSON; see :func:`replacing` for ``durable``.
+
+    Raises:
+        ValueError: It holds numbers that are not finite, see :func:`without_undefined`.
+    """
+    write_text(path, json.dumps(value, indent=1, allow_nan=False), durable=durable)
+
+
+def without_undefined(value: Any) -> Any:
+    """A JSON value with None in the place of numbers that are not finite: JSON has none of them."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: without_undefined(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [without_undefined(part) for part in value]
+    return value
 
 
 def read_json(path: Path) -> Any:

@@ -112,7 +112,7 @@ class DatasetCard:
         values[_DYNAMICS] = values.pop("dynamics")
         for name in ("environment_parameters", _DYNAMICS):
             values[name] = dict(values[name])
-        return json.dumps(values, indent=2, sort_keys=True) + "\n"
+        return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str, source: object = "a dataset card") -> "DatasetCard":

@@ -4,7 +4,8 @@ All snapshots, all proximities and all repetitions of a policy run as copies of 
 environment; policies of several seeds act in one stacked forward pass. Every policy stack has its
 own environment and its own random stream, so its numbers do not depend on what is evaluated beside
 it. The return is ``sum_t gamma^t r_t`` over the horizon from a fresh start. A termination is
-absorbing: the reward of the step that ends in it counts, all later ones are zero.
+absorbing: the reward of the step that ends in it counts, all later ones are zero. A trajectory with
+an infinite or undefined action has no return, whatever the system made of it: NaN.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -101,7 +102,7 @@ def evaluate_policies(
     noises = [lane_generator(lane_key(key, "candidates")) for key in keys]
     drawn = (snapshots, per_policy, actors.card.candidates, actors.card.noise)
     returns, distance, visited = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    running = np.ones(shape, dtype=np.bool_)
+    running, undefined = np.ones(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     for t in range(protocol.horizon):
         windows = torch.from_numpy(np.stack([h.window for h in histories])).float().to(device)
         seen = windows.view(actors.lanes, per_policy, *windows.shape[2:])
@@ -114,6 +115,8 @@ def evaluate_policies(
         np.add(distance, apart.cpu().numpy(), out=distance, where=running)
         visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
+        undefined |= running & ~np.isfinite(chosen).all(axis=-1)
+        chosen[undefined] = 0.0  # systems refuse undefined actions, those of neighbours too
         for number, (system, history) in enumerate(zip(systems, histories, strict=True)):
             frames, rewards = system.step(chosen[number])
             history.push(frames)
@@ -123,6 +126,7 @@ def evaluate_policies(
         progress(1.0 if over else (t + 1) / protocol.horizon)
         if over:
             break
+    returns[undefined] = np.nan
     by_policy = (len(policies), snapshots, len(grid), repeats)
     total, states = (array.reshape(by_policy).mean(axis=-1) for array in (distance, visited))
     return [

@@ -196,11 +196,15 @@ class OnlineDDPG:
     def keep_best(self, step: int, returns: Tensor) -> None:
         """Keep the current policies of the lanes whose return is their highest so far.
 
+        Only finite policies of a finite return are kept.
+
         Args:
             step: Steps so far.
             returns: ``[L]`` mean returns of the current policies.
         """
-        better = returns > self._best_return
+        better = returns.isfinite() & (returns > self._best_return)
+        for parameter in self.actor.parameters():
+            better &= parameter.reshape(self.lanes, -1).isfinite().all(dim=1).cpu()
         self._best_return[better] = returns[better]
         self._best_step[better] = step
         chosen = better.to(self._device)

@@ -23,6 +23,7 @@ from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
+from components.training.divergence import DivergedError
 from components.training.loop import Curves, TrainingLoop
 
 __all__ = ["train_experts", "without_denormals"]
@@ -42,7 +43,7 @@ def train_experts(
     device: torch.device,
     progress: Callable[[float], None] = lambda fraction: None,
     save_every: float = 60.0,
-) -> tuple[list[Policy], list[float], Curves]:
+) -> tuple[list[Policy | DivergedError], list[float], Curves]:
     """Train all lanes.
 
     Args:
@@ -57,8 +58,8 @@ def train_experts(
         save_every: Seconds between checkpoints.
 
     Returns:
-        Per lane its best policy, whose card says at which step it was found; the mean return it
-        had then; the learning curves.
+        Per lane its best policy, whose card says at which step it was found, or why there is none;
+        the mean return it had then; the learning curves.
     """
     robots = make_robots(len(keys))
     evaluated = make_robots(len(keys) * config.episodes)
@@ -74,9 +75,11 @@ def train_experts(
                 for key in keys
                 for episode in range(config.episodes)
             ]
-            act = _deterministic(learner.actor, device)
+            undefined = torch.zeros(len(keys), dtype=torch.bool)
+            act = _deterministic(learner.actor, device, undefined)
             rewards = episode_rewards(act, evaluated, starts, config.horizon)
             returns = torch.from_numpy(rewards.sum(axis=1)).view(len(keys), -1).mean(dim=1)
+            returns[undefined] = torch.nan
             learner.keep_best(done, returns)
             curves.add(done, {"evaluation/return": returns})
         return False
@@ -102,10 +105,15 @@ def train_experts(
     )
     identity = Normaliser(torch.zeros(len(keys), widths[0]), torch.ones(len(keys), widths[0]))
     stack = Policy.of_networks(card, {"actor": learner.best.affine()}, identity)
-    policies = [
-        stack.lane(lane, replace(card, steps=(step,)))
-        for lane, step in enumerate(learner.best_step)
-    ]
+    policies: list[Policy | DivergedError] = []
+    for lane, step in enumerate(learner.best_step):
+        ended_at = curves.ended_at(lane)
+        evaluated_at, _ = curves.of_lane(lane).get("evaluation/return", ((), ()))
+        if ended_at is not None and max(evaluated_at, default=0) <= config.random_steps:
+            error = f"its loss or its policy was no longer finite at step {ended_at}, and no "
+            policies.append(DivergedError(f"{error}policy that had learned was evaluated before"))
+        else:
+            policies.append(stack.lane(lane, replace(card, steps=(step,), ended_at=ended_at)))
     return policies, learner.best_return, curves
 
 
@@ -125,15 +133,20 @@ def without_denormals() -> Iterator[None]:
 
 
 def _deterministic(
-    actor: StackedMLP, device: torch.device
+    actor: StackedMLP, device: torch.device, undefined: torch.Tensor
 ) -> Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]:
-    """A function from frames to actions: L networks act for N / L consecutive copies each."""
+    """A function from frames to actions: L networks act for N / L consecutive copies each.
+
+    Lanes that act undefined are marked in ``undefined [L]`` and stand still, so that the others can
+    be evaluated.
+    """
 
     @torch.no_grad()
     def act(frames: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         seen = torch.from_numpy(frames).float().to(device)
         actions = torch.tanh(actor(seen.view(actor.lanes, -1, frames.shape[1])))
-        chosen: npt.NDArray[np.float64] = actions.flatten(0, 1).double().cpu().numpy()
+        undefined.logical_or_(actions.isnan().flatten(1).any(dim=1).cpu())
+        chosen: npt.NDArray[np.float64] = actions.nan_to_num_().flatten(0, 1).double().cpu().numpy()
         return chosen
 
     return act

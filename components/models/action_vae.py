@@ -24,7 +24,7 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
 from components.models.rescaling import read_in_scaling
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
+from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
 from components.networks.variational import ConditionalVAE
 
 __all__ = ["ActionReconstruction", "ActionVAE", "ActionVAEConfig", "fit_action_vae"]
@@ -180,6 +180,7 @@ def fit_action_vae(
 
     Raises:
         ValueError: If ``config.history`` is more than the frames of an observation.
+        DivergedError: A network never had a finite state of finite held-out loss.
     """
     split = split_episodes(dataset, config.holdout)
     trained_on = split.trained_transitions(dataset)
@@ -241,7 +242,8 @@ def fit_action_vae(
         checkpoint=checkpoint,
         monitor=monitor,
     )
+    ended = ended_at(curves, fit.best_loss)
     loss, error, divergence = validate(fit.best).flatten().tolist()
     model = ActionVAE(fit.best.cpu().requires_grad_(False), scaling, data.history, config.hidden)
     metrics = {"validation_reconstruction_error": error, "validation_divergence": divergence}
-    return Fit(model, loss, metrics, curves.of_lane(0))
+    return Fit(model, loss, metrics, curves.of_lane(0), ended)

@@ -16,7 +16,7 @@ from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
+from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import Curves
@@ -72,6 +72,9 @@ def fit_behaviour_policies(
 
     Returns:
         Per lane a policy and its held-out mean squared error; the learning curves.
+
+    Raises:
+        DivergedError: A lane never had a finite state of finite held-out error.
     """
     data = LaneData(
         datasets, device, scaling=lambda d: split_episodes(d, config.holdout).scaling(d)
@@ -114,6 +117,7 @@ def fit_behaviour_policies(
         checkpoint=checkpoint,
         monitor=monitor,
     )
+    ended_at(curves, fitting.best_loss)
     policies = []
     for lane, dataset in enumerate(datasets):
         card = PolicyCard(
@@ -149,4 +153,5 @@ def fit_behaviour_policy(
     [policy], [metrics], curves = fit_behaviour_policies(
         [dataset], config, [key], device, checkpoint, monitor
     )
-    return Fit(policy, metrics["validation_mse"], metrics, curves.of_lane(0))
+    mse = metrics["validation_mse"]
+    return Fit(policy, mse, metrics, curves.of_lane(0), curves.ended_at(0))

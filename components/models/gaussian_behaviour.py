@@ -26,7 +26,7 @@ from components.core.tensors import load_tensors, save_tensors
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit
+from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
 from components.networks import TanhGaussian
 from components.networks.gaussian import LOG_STD_RANGE, log_density, raw_actions
 from components.policies.policy import Policy, PolicyCard
@@ -150,6 +150,9 @@ def fit_gaussian_behaviour(
         The policy in its best held-out state; the mean negative log density of the held-out
         actions, clipped as in training; among the metrics the mean standard deviation in their
         states.
+
+    Raises:
+        DivergedError: A network never had a finite state of finite held-out loss.
     """
     split = split_episodes(dataset, config.holdout)
     trained = split.trained_transitions(dataset)
@@ -193,6 +196,7 @@ def fit_gaussian_behaviour(
         checkpoint=checkpoint,
         monitor=monitor,
     )
+    ended = ended_at(curves, fitting.best_loss)
     card = PolicyCard(
         algorithm="gaussian_behaviour",
         dataset=dataset.card.name,
@@ -215,4 +219,4 @@ def fit_gaussian_behaviour(
         "validation_spread": float(torch.cat(parts, dim=1).mean()),
     }
     behaviour = GaussianBehaviour(policy, (weight, bias))
-    return Fit(behaviour, metrics["validation_nll"], metrics, curves.of_lane(0))
+    return Fit(behaviour, metrics["validation_nll"], metrics, curves.of_lane(0), ended)

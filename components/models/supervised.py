@@ -3,6 +3,9 @@
 A model provides a stack of networks, a loss and a validation. :class:`StackedFit` steps all lanes
 at once (datasets, ensemble members), keeps for every lane the weights of its lowest held-out loss
 and stops when no lane has improved for a while. Interrupted fits continue to the same numbers.
+
+Only finite weights of a finite loss are kept. A fit whose loss is infinite or undefined from some
+update on has the best state before that, and says so; one that never had any has diverged.
 """
 
 import copy
@@ -17,6 +20,7 @@ from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams
 from components.training.cuda_graphs import graphed
+from components.training.divergence import DivergedError
 from components.training.loop import Curves, Schedule, TrainingLoop, adam
 from components.training.state import (
     load_optimizer_state,
@@ -26,7 +30,17 @@ from components.training.state import (
     with_prefix,
 )
 
-__all__ = ["SCHEDULES", "UNWATCHED", "Fit", "Fitted", "Monitor", "Series", "StackedFit"]
+__all__ = [
+    "SCHEDULES",
+    "UNWATCHED",
+    "Fit",
+    "Fitted",
+    "Monitor",
+    "Series",
+    "StackedFit",
+    "ended_at",
+    "improved",
+]
 
 Series = tuple[Sequence[int], Sequence[float]]
 """Steps and values of a learning curve."""
@@ -54,12 +68,14 @@ class Fit(Generic[M_co]):
         validation_loss: Its loss on held-out trajectories, what hyperparameter search minimises.
         metrics: Further numbers by name.
         curves: Learning curves by name.
+        ended_at: Update by which a loss had become infinite or undefined. None: it never did.
     """
 
     model: M_co
     validation_loss: float
     metrics: Mapping[str, float]
     curves: Mapping[str, Series]
+    ended_at: int | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +95,37 @@ class Monitor:
 UNWATCHED = Monitor()
 
 N = TypeVar("N", bound=nn.Module)
+
+
+def improved(losses: Tensor, least: Tensor, parameters: Sequence[Tensor]) -> Tensor:
+    """Lanes whose state is worth keeping: finite, with a finite loss below their least, ``[L]``.
+
+    Args:
+        losses: Held-out losses ``[L]``.
+        least: What they must be below, ``[L]``.
+        parameters: Lanes first; a parameter may hold several rows a lane.
+    """
+    better = losses.isfinite() & (losses < least)
+    for parameter in parameters:
+        better &= parameter.detach().reshape(len(losses), -1).isfinite().all(dim=1)
+    return better
+
+
+def ended_at(curves: Curves, best_loss: Tensor, lanes: slice = slice(None)) -> int | None:
+    """First update at which a loss of some lanes was infinite or undefined, if there is one.
+
+    Args:
+        curves: Of all lanes.
+        best_loss: Lowest held-out losses ``[L]``; infinite where there never was a finite one.
+        lanes: Those of the model.
+
+    Raises:
+        DivergedError: One of them never had a finite state of finite held-out loss.
+    """
+    if not bool(best_loss[lanes].isfinite().all()):
+        raise DivergedError("its held-out loss was never finite")
+    ends = [curves.ended_at(lane) for lane in range(len(best_loss))[lanes]]
+    return min((end for end in ends if end is not None), default=None)
 
 
 class StackedFit(Generic[N]):
@@ -187,7 +234,8 @@ class StackedFit(Generic[N]):
     @torch.no_grad()
     def _keep_best(self, losses: Tensor, improvement: float) -> None:
         # The first finite loss is below infinity times any factor, so it always counts.
-        better = losses < self.best_loss * (1.0 - improvement)
+        least = self.best_loss * (1.0 - improvement)
+        better = improved(losses, least, list(self.network.parameters()))
         self.best_loss = torch.where(better, losses, self.best_loss)
         self.stale = torch.where(better, torch.zeros_like(self.stale), self.stale + 1)
         for kept, new in zip(self.best.parameters(), self.network.parameters(), strict=True):

@@ -17,7 +17,7 @@ from components.core.cards import CardFormat
 from components.core.files import write_json
 from components.core.sealed import read_sealed_json
 from components.reporting.figures import proximity_figure
-from components.reporting.tables import read_results
+from components.reporting.tables import read_results, with_undefined
 
 __all__ = [
     "ReportNodes",
@@ -140,6 +140,7 @@ def open_report(store: Path, sweep: str | None = None) -> StoredReport:
         for name, key in report_nodes.datasets.items()
         if (nodes / key).exists()
     }
+    summaries = [with_undefined(summary) for summary in summaries]
     returns = {name: float(card["first_window_return_mean"]) for name, card in cards.items()}
     return StoredReport(table.parent, read_results(table), summaries, returns)
 

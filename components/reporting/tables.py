@@ -22,6 +22,8 @@ __all__ = [
     "result_table",
     "results_csv",
     "thesis_numbers",
+    "undefined_notes",
+    "with_undefined",
 ]
 
 _STATISTICS: Final = ("tenth_percentile", "standard_error", "mean", "std", "iqm")
@@ -96,6 +98,28 @@ def results_csv(table: pd.DataFrame) -> str:
         index=False, lineterminator="\n"
     )
     return written
+
+
+def undefined_notes(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
+    """A sentence for every seed some of whose returns or distances are infinite or undefined."""
+    return [
+        f"{summary['algorithm']} on {summary['dataset']}, seed {seed}: {count} of its pooled "
+        "returns and distances are not finite, as the actions or the system's states were not."
+        for summary in summaries
+        for seed, count in summary.get("undefined", {}).items()
+    ]
+
+
+def with_undefined(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored summary with NaN for statistics that are not finite, which JSON has no numbers for.
+
+    The proximity of policies that take none stays None.
+    """
+    points = [
+        {n: math.nan if v is None and n != "lambda" else v for n, v in point.items()}
+        for point in summary["points"]
+    ]
+    return {**summary, "points": points}
 
 
 def read_results(path: Path) -> pd.DataFrame:

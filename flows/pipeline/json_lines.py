@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from components.core.files import without_undefined
+
 __all__ = ["append_line", "mend_last_line", "read_lines"]
 
 
@@ -16,12 +18,13 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
 
     Args:
         path: The file; made if missing. The caller keeps other writers away.
-        value: What the line holds.
+        value: What the line holds; numbers that are not finite become null.
 
     Raises:
         OSError: The disk is full or cannot be written; the file is as it was.
     """
-    line = json.dumps(value, default=str).encode() + b"\n"
+    text = json.dumps(without_undefined(value), default=str, allow_nan=False)
+    line = text.encode() + b"\n"
     with path.open("ab", buffering=0) as file:
         size = file.tell()
         try:

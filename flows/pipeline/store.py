@@ -74,10 +74,12 @@ class ArtifactStore(WorkFolders):
         self.stop_file(group).unlink(missing_ok=True)
 
     def losses(self, group: str) -> list[tuple[float, float]]:
-        """Held-out losses that a call has reported, each after its fraction of the budget."""
+        """Held-out losses that a call has reported, each after its fraction of the budget; NaN for
+        those that are not finite.
+        """
         value = read_json(self.progress_file(group))
         losses = value.get("losses", ()) if isinstance(value, dict) else ()
-        return [(float(fraction), float(loss)) for fraction, loss in losses]
+        return [(float(f), float("nan" if loss is None else loss)) for f, loss in losses]
 
     def fraction(self, group: str) -> float | None:
         """The fraction of a call that is done, between 0 and 1; None if it has not begun."""

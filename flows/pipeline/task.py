@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from components.core.files import write_json
+from components.core.files import without_undefined, write_json
 
 __all__ = [
     "FAILURE_FILE",
@@ -128,7 +128,7 @@ class TaskContext:
         if self.progress_file is not None:
             self._written = time.monotonic()
             report = {"fraction": self._fraction, "losses": self._losses}
-            write_json(self.progress_file, report)
+            write_json(self.progress_file, without_undefined(report))
 
 
 TaskFunction = Callable[[Sequence[Job], TaskContext], None]

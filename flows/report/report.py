@@ -12,10 +12,18 @@ from components.data.dataset import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.stored import ReportNodes
-from components.reporting.tables import ended_notes, markdown_table, result_table, results_csv
+from components.reporting.tables import (
+    ended_notes,
+    markdown_table,
+    result_table,
+    results_csv,
+    undefined_notes,
+    with_undefined,
+)
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.report.films import film_notes
+from flows.report.fits import fit_notes
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -32,6 +40,7 @@ class Report:
         table: One row per dataset, algorithm and proximity.
         summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
+        fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
     """
 
@@ -39,6 +48,7 @@ class Report:
     table: pd.DataFrame
     summaries: Sequence[Mapping[str, Any]]
     without_system: Sequence[str]
+    fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
 
     @property
@@ -46,7 +56,9 @@ class Report:
         """Sentences about what the table does not show."""
         reason = "has no system to evaluate on: its policies are stored but not evaluated."
         return [
+            *self.fit_notes,
             *ended_notes(self.summaries),
+            *undefined_notes(self.summaries),
             *(f"{name} {reason}" for name in self.without_system),
             *self.software,
         ]
@@ -83,15 +95,21 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     done = [node for node in plan if store.complete(node.key)]
     aggregations = [node for node in done if node.component == "aggregation"]
     generations = [node for node in done if node.component == "data_generation"]
-    summaries = [store.read_json(node.key, "summary.json") for node in aggregations]
+    summaries = [with_undefined(store.read_json(node.key, "summary.json")) for node in aggregations]
     for node in generations:
         store.check(node.key, (_CARD,))
     cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
     table = result_table(summaries)
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))
-    software = software_notes(aggregations, store)
-    report = Report(files, table, summaries, _without_system(plan), software)
+    report = Report(
+        files,
+        table,
+        summaries,
+        _without_system(plan),
+        fit_notes(done, store),
+        software_notes(aggregations, store),
+    )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
     text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)

@@ -6,6 +6,7 @@ import numpy as np
 
 from components.aggregation.statistics import pool_policies, summarise
 from components.core.arrays import load_arrays
+from components.core.files import without_undefined
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     inherit_datasets,
@@ -47,6 +48,10 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
             for n, s in zip(seeds, stored, strict=True)
             if s["ended_at"].size
         }
+        undefined = {
+            str(n): sum(int((~np.isfinite(s[of][-last:])).sum()) for of in ("returns", "distances"))
+            for n, s in zip(seeds, stored, strict=True)
+        }
         summary = {
             "dataset": job.config["dataset"],
             "algorithm": job.config["algorithm"],
@@ -54,10 +59,13 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
             "ended_at": ended,  # seeds whose loss became infinite or undefined, and when
             "points": points,
         }
-        write_numbers(job.out / "summary.json", summary)
+        if any(undefined.values()):  # seeds with numbers that are not finite, and how many
+            summary["undefined"] = {seed: count for seed, count in undefined.items() if count}
+        write_numbers(job.out / "summary.json", without_undefined(summary))
         shown = ("tenth_percentile", "standard_error", "mean", "std", "iqm", "distance")
         if points[0]["lambda"] is None:
-            write_numbers(job.out / "metrics.json", {name: points[0][name] for name in shown})
+            numbers = {name: points[0][name] for name in shown}
+            write_numbers(job.out / "metrics.json", without_undefined(numbers))
         else:
             steps = percent(proximities)
             curves = {f"over_proximity/{n}": (steps, [p[n] for p in points]) for n in shown}

@@ -29,8 +29,12 @@ T = TypeVar("T")
 
 
 def write_numbers(path: Path, value: Any) -> None:
-    """Write a JSON file of an artifact that is still being made."""
-    path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+    """Write a JSON file of an artifact that is still being made.
+
+    Raises:
+        ValueError: It holds numbers that are not finite.
+    """
+    path.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_curves(path: Path, curves: Mapping[str, tuple[Sequence[int], Sequence[float]]]) -> None:

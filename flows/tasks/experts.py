@@ -22,8 +22,10 @@ from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
 from components.policies.policy import Policy
+from components.training.divergence import DivergedError
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import config_object, read_input, write_curves, write_numbers
+from flows.tasks.divergence import diverged
 from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["choose_expert", "train_expert"]
@@ -51,11 +53,18 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         progress=context.progress,
     )
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
+        if isinstance(policy, DivergedError):
+            settings = job.config["training"]
+            job.fail(diverged(f"The training of {job.name}", policy, "experts.training", settings))
+            continue
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
         reached = {"return": returns[lane], "step": policy.card.steps[0]}
         write_numbers(job.out / _REACHED, reached)
-        write_numbers(job.out / "metrics.json", {f"best/{n}": v for n, v in reached.items()})
+        metrics = {f"best/{name}": value for name, value in reached.items()}
+        if policy.card.ended_at is not None:
+            metrics["training/ended_at"] = policy.card.ended_at
+        write_numbers(job.out / "metrics.json", metrics)
         write_curves(job.out / "curves.npz", curves.of_lane(lane))
 
 

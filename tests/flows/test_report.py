@@ -184,3 +184,30 @@ def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
         "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
     }
+
+
+def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
+    words = ["profile=smoke", "algorithms=[lion]", "seeds=[0]"]
+    plan, store = benchmark_plan(load_settings(words)), ArtifactStore(tmp_path)
+    for node in plan:
+        if node.component == "model_fitting":
+            ended = {"training/ended_at": 120} if node.config["model"] == "behaviour_policy" else {}
+            finish(store, node, {"metrics.json": {"validation_loss": 0.5} | ended})
+        if node.component == "aggregation":
+            point = {"lambda": 0.0, "policies": 1, "distance": None, **POINT, "mean": None}
+            summary = {"dataset": "mediocre-0.2", "algorithm": "lion", "seeds": [0]}
+            summary |= {"points": [point], "undefined": {"0": 2}}
+            finish(store, node, {"summary.json": summary})
+    written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
+    model, returns = written.notes
+    assert model == (
+        "behaviour_policy on mediocre-0.2: its loss was no longer finite at update 120; its state "
+        "of lowest held-out loss is used."
+    )
+    assert returns.startswith("lion on mediocre-0.2, seed 0: 2 of its pooled returns and distances")
+    text = (tmp_path / "reports" / "sweep" / "results.md").read_text()
+    assert f"- {model}\n- {returns}" in text
+    assert "not finite" in text
+    assert f"Note: {model}" in written.lines()
+    [shown] = open_report(tmp_path, "sweep").summaries
+    assert shown["points"][0]["mean"] != shown["points"][0]["mean"]

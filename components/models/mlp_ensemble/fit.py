@@ -37,7 +37,7 @@ from components.data.dynamics import DynamicsSpecification, model_frames
 from components.data.splits import split_episodes
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 from components.models.mlp_ensemble.ensemble import ACTIVATIONS, MLPEnsemble, bounded_log_variance
-from components.models.supervised import UNWATCHED, Fit, Monitor, StackedFit
+from components.models.supervised import UNWATCHED, Fit, Monitor, StackedFit, ended_at
 from components.networks import StackedMLP, lanewise_mean
 from components.networks.weight_norm import WeightNormMLP
 
@@ -199,6 +199,9 @@ def fit_mlp_ensemble(
     Returns:
         The ensemble of the members' best held-out states, its held-out mean squared error in
         normalised units averaged over members and targets, and as metrics the error's parts.
+
+    Raises:
+        DivergedError: A network never had a finite state of finite held-out loss.
     """
     data = _Transitions(dataset, config, device)
     forms, members = config.forms, config.members
@@ -233,8 +236,12 @@ def fit_mlp_ensemble(
     )
     errors, nll = losses.held_out(fitting.best)
     of_forms = errors.view(len(forms), -1).mean(dim=1)
+    # A form of which a member never had a finite loss has no ensemble to choose.
+    whole = fitting.best_loss.isfinite().view(len(forms), members).all(dim=1)
+    of_forms = torch.where(whole, of_forms, torch.inf)
     chosen = int(of_forms.argmin())
     lanes = slice(chosen * members, (chosen + 1) * members)
+    ended = ended_at(curves, fitting.best_loss, lanes)
     metrics = {f"validation_mse/{form}": float(e) for form, e in zip(forms, of_forms, strict=True)}
     own = errors[lanes]  # [K, D]
     of_targets = zip(data.names, own.mean(dim=0), strict=True)
@@ -248,7 +255,7 @@ def fit_mlp_ensemble(
         for metric, series in curves.of_lane(lane).items()
     }
     ensemble = _artifact(fitting.best, data, config, chosen, own.mean(dim=1))
-    return Fit(ensemble, float(of_forms[chosen]), metrics, by_member)
+    return Fit(ensemble, float(of_forms[chosen]), metrics, by_member, ended)
 
 
 def _batches(

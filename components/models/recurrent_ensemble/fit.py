@@ -35,7 +35,7 @@ from components.models.recurrent_ensemble.ensemble import (
     predict_windows,
 )
 from components.models.recurrent_ensemble.windows import TrainingWindows
-from components.models.supervised import UNWATCHED, Fit, Monitor
+from components.models.supervised import UNWATCHED, Fit, Monitor, ended_at, improved
 from components.training.cuda_graphs import graphed
 from components.training.loop import Curves, Schedule, TrainingLoop, adam
 from components.training.state import (
@@ -144,7 +144,7 @@ class _EnsembleLearner:
 
     def keep_best(self, losses: Tensor) -> None:
         """Keep every network's weights where its own held-out loss is the lowest so far."""
-        better = losses < self.best_loss
+        better = improved(losses, self.best_loss, [self.weight, self.readout])
         self.best_loss = torch.where(better, losses, self.best_loss)
         self.stale = torch.where(better, torch.zeros_like(self.stale), self.stale + 1)
         chosen = better[:, None, None]
@@ -191,6 +191,9 @@ def fit_recurrent_ensemble(
     Returns:
         The ensemble of best held-out states and the held-out normalised mean squared errors of its
         networks over all held-out windows; the validation loss is their mean.
+
+    Raises:
+        DivergedError: A network never had a finite state of finite held-out loss.
     """
     windows = TrainingWindows(dataset, config, device)
     learner = _EnsembleLearner(windows, config, key, device)
@@ -208,6 +211,7 @@ def fit_recurrent_ensemble(
 
     loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
     curves = loop.run(graphed(learner, device), validate)
+    ended = ended_at(curves, learner.best_loss)
     final = learner.validation_loss(learner.best_weight, learner.best_readout, stride=1)
     of_networks = zip(names, final.mean(dim=1), strict=True)
     of_features = final.view(len(windows.groups), config.members, -1).mean(dim=1).flatten()
@@ -229,4 +233,4 @@ def fit_recurrent_ensemble(
         for lane, name in enumerate(names)
         for metric, series in curves.of_lane(lane).items()
     }
-    return Fit(ensemble, float(final.mean()), metrics, by_network)
+    return Fit(ensemble, float(final.mean()), metrics, by_network, ended)

@@ -6,13 +6,13 @@ sweep that is run again adds nothing, and a node that failed and then finished h
 """
 
 import json
-import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from components.core.files import without_undefined
 from components.core.integrity import load_json
 from components.core.sealed import check_folder
 from flows.pipeline.errors import TrackingError
@@ -92,7 +92,7 @@ class SweepFile:
         """
         if self._path is None:
             raise TrackingError("No sweep is open in the file tracker: open one before it writes.")
-        fields = {"event": event, "about": about, **_valid(dict(content))}
+        fields = without_undefined({"event": event, "about": about, **content})
         if _text(fields) == _text(self._newest.get(about, {})):
             return
         line = {"time": round(time.time(), 3), **fields}
@@ -101,22 +101,8 @@ class SweepFile:
         self._newest[about] = line
 
 
-def _valid(value: Any) -> Any:
-    """A value as JSON has it: numbers that are not finite become words.
-
-    Python would write `Infinity`, which other readers refuse or take for 1.8e308.
-    """
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, Mapping):
-        return {str(name): _valid(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_valid(entry) for entry in value]
-    return value
-
-
 def _text(event: Mapping[str, Any]) -> str:
-    """An event without its time, as text."""
+    """An event without its time, as its line has it."""
     fields = {name: value for name, value in event.items() if name != "time"}
     return json.dumps(fields, default=str, sort_keys=True)
 

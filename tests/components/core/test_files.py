@@ -1,10 +1,18 @@
 """Files and folders that appear whole or not at all."""
 
+import math
 from pathlib import Path
 
 import pytest
 
-from components.core.files import read_json, replacing, temporary_name, write_json, write_text
+from components.core.files import (
+    read_json,
+    replacing,
+    temporary_name,
+    without_undefined,
+    write_json,
+    write_text,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -68,3 +76,13 @@ def test_temporary_names_are_hidden_neighbours_that_keep_the_suffix(tmp_path: Pa
         temporary.mkdir()
         (temporary / "inside").touch()
     assert names(tmp_path) == []
+
+
+def test_json_has_no_infinite_and_no_undefined_numbers(tmp_path: Path) -> None:
+    value = {"a": [1.5, math.inf, (math.nan, "x")], "b": {"c": -math.inf, "d": 2, "e": None}}
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", value)
+    assert list(tmp_path.iterdir()) == []
+    write_json(tmp_path / "a.json", without_undefined(value))
+    expected = {"a": [1.5, None, [None, "x"]], "b": {"c": None, "d": 2, "e": None}}
+    assert read_json(tmp_path / "a.json") == expected

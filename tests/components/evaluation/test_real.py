@@ -87,6 +87,32 @@ def test_constant_policies_earn_what_a_direct_simulation_earns() -> None:
     assert len(np.unique(result.returns)) == 6, "every trajectory has its own noise"
 
 
+def broken_policy() -> Policy:
+    """Finite numbers, and actions that are undefined wherever the velocity is not 0."""
+    hidden = torch.zeros(1, 18, 16)
+    hidden[0, 1] = 3e38
+    cancelled = torch.ones(1, 16, 3)
+    cancelled[0, ::2] = -1.0
+    layers = [(hidden, torch.zeros(1, 1, 16)), (cancelled, torch.full((1, 1, 3), 0.5))]
+    scaling = Normaliser(torch.tensor([[0.0, 50.0, 0.0, 0.0, 0.0, 0.0]]), torch.full((1, 6), 1e-3))
+    return Policy.of_networks(policy_card(), {"actor": layers}, scaling)
+
+
+def test_undefined_actions_have_no_return_and_leave_neighbours_alone() -> None:
+    broken, fine = broken_policy(), network_policy(1, snapshots=1)
+    assert broken.finite.all()
+    middle = torch.zeros(1, 1, 3, 6)
+    middle[..., 1] = 50.0  # where every trajectory starts
+    assert broken.act(middle).isfinite().all()
+    middle[..., 1] = 51.0
+    assert broken.act(middle).isnan().all()
+    found = evaluate([broken, fine], [5, 6])
+    [alone] = evaluate([fine], [6])
+    assert np.isnan(found[0].returns).all()
+    assert np.isnan(found[0].distances).all()
+    np.testing.assert_array_equal(found[1].returns, alone.returns)
+
+
 def test_horizon_and_discount() -> None:
     protocol = EvaluationProtocol(trajectories=2, horizon=5)
     [result] = evaluate([constant_policy([0.1, 0.2, 0.3])], [3], protocol, discount=1.0)

@@ -12,6 +12,7 @@ from components.core.random_streams import lane_generator, lane_key
 from components.experts.episodes import episode_rewards, evaluate_episodes
 from components.experts.online import OnlineDDPG
 from components.experts.training import train_experts, without_denormals
+from components.training.divergence import DivergedError
 from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
 from tests.components.experts.test_online import TINY, keys
 from tests.components.interruption import KilledError, dying, killed_at, lanes
@@ -93,6 +94,41 @@ def test_the_best_evaluation_is_the_policys(tmp_path: Path) -> None:
 
         rewards = episode_rewards(act, ToyRobot(3, 0.3), starts, LASTING.horizon)
         assert rewards.sum(axis=1).mean() == pytest.approx(reached[lane], rel=1e-5)  # float32
+
+
+class BreakingDDPG(OnlineDDPG):
+    """The second lane's policy is undefined from a step on."""
+
+    at = 0
+
+    def update(self, step: int) -> dict[str, torch.Tensor]:
+        metrics = super().update(step)
+        if step >= self.at:
+            with torch.no_grad():
+                for parameter in self.actor.parameters():
+                    parameter[1] = torch.nan
+        return metrics
+
+
+@pytest.mark.parametrize(("at", "kept"), [(60, True), (40, False)])
+def test_a_lane_that_diverges_keeps_its_best_finite_policy_or_has_none(
+    at: int, kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = trained(tmp_path / "whole", 0, 1)
+    monkeypatch.setattr(BreakingDDPG, "at", at)
+    monkeypatch.setattr("components.experts.training.OnlineDDPG", BreakingDDPG)
+    policies, _, curves = trained(tmp_path / "broken", 0, 1)
+    assert all(map(torch.equal, weights(policies[0]), weights(expected[0][0])))
+    assert policies[0].card.ended_at is None
+    if kept:
+        steps, returns = curves.of_lane(1)["evaluation/return"]
+        assert steps == [25, 50]
+        assert policies[1].card.steps == (steps[int(np.argmax(returns))],)
+        assert policies[1].card.ended_at == curves.ended_at(1) > at
+        assert policies[1].finite.all()
+    else:
+        assert isinstance(policies[1], DivergedError)
+        assert "no longer finite at step 42, and no policy that had learned" in str(policies[1])
 
 
 @pytest.mark.slow(4)

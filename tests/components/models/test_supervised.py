@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams, normal_draw
 from components.models import supervised
-from components.models.supervised import Monitor, StackedFit
+from components.models.supervised import Monitor, StackedFit, ended_at
+from components.training.divergence import DivergedError
 from components.training.loop import Curves
 from tests.components.interruption import killed_at, lanes, save_always
 from tests.components.synthetic import CPU, keys
@@ -198,3 +199,32 @@ def test_interrupted_equals_uninterrupted(
     assert lanes(resumed, 2) == lanes(curves, 2)
     last = curves.of_lane(0)["model/validation_loss"][0][-1]
     assert 40 <= last < 60, "it must have stopped early, after the last death"
+
+
+def test_only_finite_states_of_finite_loss_are_kept() -> None:
+    found = fitting("a", "b", "c")
+    turns = iter([[math.nan, 3.0, -math.inf], [math.inf, 2.0, 5.0], [math.nan, 1.0, 4.0]])
+    kept: list[Tensor] = []
+
+    def validate(network: Points) -> Tensor:
+        losses = torch.tensor(next(turns))
+        if losses[1] == 1.0:
+            network.place[2, 0] = torch.inf  # the second lane's, whose loss does not tell
+        kept.append(network.place.detach().clone())
+        return losses
+
+    curves = found.run(validate, "abc", updates=3, validate_every=1)
+    assert found.best_loss.tolist() == [math.inf, 2.0, 4.0]
+    assert torch.equal(found.best.place[2:4], kept[1][2:4])
+    assert torch.equal(found.best.place[4:], kept[2][4:])
+    assert found.best.place.isfinite().all()
+    with pytest.raises(DivergedError, match=r"^its held-out loss was never finite$"):
+        ended_at(curves, found.best_loss)
+    assert ended_at(curves, found.best_loss, slice(2, 3)) == 1
+    assert ended_at(curves, found.best_loss, slice(1, 2)) is None
+
+
+def test_a_fit_that_stays_finite_has_no_end() -> None:
+    found = fitting("a", "b")
+    curves = found.run(losses_by_turn([2.0, 1.0], [1.0, 2.0]), "ab", updates=2, validate_every=1)
+    assert ended_at(curves, found.best_loss) is None

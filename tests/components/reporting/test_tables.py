@@ -15,6 +15,8 @@ from components.reporting.tables import (
     result_table,
     results_csv,
     thesis_numbers,
+    undefined_notes,
+    with_undefined,
 )
 from tests.components.reporting.summaries import LION, TD3_BC, point
 
@@ -81,6 +83,21 @@ def test_a_figure_that_is_not_finite_is_shown() -> None:
     assert first == "mediocre-0.2,td3_bc,,5,10,nan,0.25,nan,1.5,-69.875,-77.7,0.1"
     assert second == "mediocre-0.2,td3_bc,,5,10,nan,0.25,-inf,1.5,-69.875,-77.7,0.1"
     assert markdown_table(table).count("not finite") == 4
+
+
+def test_what_json_has_no_number_for_is_undefined_again() -> None:
+    stored = TD3_BC | {"points": [point(None) | {"mean": None, "std": None}]}
+    [bad] = with_undefined(stored)["points"]
+    assert (bad["lambda"], math.isnan(bad["mean"]), math.isnan(bad["std"])) == (None, True, True)
+    assert bad["iqm"] == point(None)["iqm"]
+    assert markdown_table(result_table([with_undefined(stored)])).count("not finite") == 2
+
+
+def test_returns_that_are_not_finite_are_noted() -> None:
+    [note] = undefined_notes([TD3_BC, LION | {"undefined": {"3": 7}}])
+    assert note.startswith(
+        "lion on mediocre-0.2, seed 3: 7 of its pooled returns and distances are"
+    )
 
 
 NUMBERS = [

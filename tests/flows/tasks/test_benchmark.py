@@ -1,6 +1,7 @@
 """The task functions in a row, on tiny nodes: each from what the one before has stored."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors
 from components.data.dataset import OfflineDataset
+from components.models import MODELS
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy
 from components.training.divergence import DivergedError
@@ -169,6 +171,59 @@ def test_a_policy_that_diverges_fails_and_its_neighbour_does_not(
     )
 
 
+def test_a_fit_that_diverges_fails(plan: Plan, root: Path) -> None:
+    node = changed(plan, "recurrent_ensemble/bad-0.4", learning_rate=1e30)
+    run([node], root, "diverged")
+    assert failure(node, root, "diverged") == (
+        "The fit of recurrent_ensemble on bad-0.4 diverged: its held-out loss was never finite; "
+        "lower model.recurrent_ensemble.learning_rate (now 1e+30)."
+    )
+
+
+def test_a_fit_that_ends_early_says_when(
+    plan: Plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [node] = [n for n in plan if n.name == "behaviour_policy/bad-0.4"]
+    kind = MODELS["behaviour_policy"]
+
+    def fit(*arguments: Any) -> Any:
+        made = kind.fit(*arguments)
+        return replace(made, ended_at=7, metrics=made.metrics | {"other": math.inf})
+
+    monkeypatch.setattr(
+        "flows.tasks.model_fitting.MODELS", {"behaviour_policy": replace(kind, fit=fit)}
+    )
+    run([node], root, "ended")
+    metrics = stored(root / "ended" / node.key / "metrics.json")
+    assert (metrics["training/ended_at"], metrics["other"]) == (7, None)
+    whole = stored(root / "nodes" / node.key / "metrics.json")
+    assert "training/ended_at" not in whole
+    assert metrics["validation_loss"] == whole["validation_loss"]
+
+
+@pytest.mark.parametrize("harm", ["loss", "weights"])
+def test_a_model_that_is_not_finite_is_not_stored(
+    harm: str, plan: Plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [node] = [n for n in plan if n.name == "recurrent_ensemble/bad-0.4"]
+    kind = MODELS["recurrent_ensemble"]
+
+    def fit(*arguments: Any) -> Any:
+        made = kind.fit(*arguments)
+        if harm == "loss":
+            return replace(made, validation_loss=math.inf)
+        made.model.readout[0, 0, 0] = math.nan
+        return made
+
+    monkeypatch.setattr(
+        "flows.tasks.model_fitting.MODELS", {"recurrent_ensemble": replace(kind, fit=fit)}
+    )
+    run([node], root, f"not-finite-{harm}")
+    said = (root / f"not-finite-{harm}" / node.key / "failure.txt").read_text()
+    what = {"loss": "its held-out loss is inf", "weights": "the model is not finite in "}[harm]
+    assert said.startswith(f"The fit of recurrent_ensemble on bad-0.4 diverged: {what}")
+
+
 @pytest.mark.parametrize("algorithm", ["lion", "td3_bc"])
 def test_stacks_over_datasets_train_what_stacks_over_seeds_train(
     algorithm: str, plan: Plan, root: Path
@@ -261,6 +316,32 @@ def test_a_pool_of_twenty_snapshots_takes_the_last_two_of_every_seed(
     [point] = summary["points"]
     assert point["policies"] == 4
     assert point["mean"] == np.mean([18.0, 19.0, 118.0, 119.0])
+
+
+def test_returns_that_are_not_finite_are_valid_json_and_noted(plan: Plan, tmp_path: Path) -> None:
+    [node] = [n for n in plan if n.name == "aggregate/td3_bc/bad-0.4"]
+    for number, source in enumerate(node.inputs.values()):
+        folder = tmp_path / "nodes" / source.key
+        folder.mkdir(parents=True)
+        (folder / "datasets.json").write_text("[]")
+        returns = np.zeros((20, 1, 10))
+        if number:
+            returns[-1, 0, :3] = np.nan
+            returns[0] = np.inf  # not in the pool
+        distances = np.zeros((20, 1))
+        np.savez(
+            folder / "returns.npz",
+            lambdas=[np.nan], returns=returns, distances=distances, ended_at=[],
+        )  # fmt: skip
+    run([node], tmp_path, "made")
+    for name in ("summary.json", "metrics.json"):
+        text = (tmp_path / "made" / node.key / name).read_text()
+        assert "NaN" not in text
+        assert "Infinity" not in text
+    summary = stored(tmp_path / "made" / node.key / "summary.json")
+    assert summary["undefined"] == {"3": 3}
+    [point] = summary["points"]
+    assert (point["mean"], point["iqm"], point["policies"]) == (None, None, 4)
 
 
 def test_damaged_inputs_are_named(plan: Plan, tmp_path: Path) -> None:

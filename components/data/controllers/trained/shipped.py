@@ -110,7 +110,7 @@ class Expert:
         """Write the expert into an existing folder; the card appears last."""
         self.policy.save(folder)
         card = replace(self.card, digest=_digest(folder))
-        text = json.dumps(asdict(card), indent=2, sort_keys=True) + "\n"
+        text = json.dumps(asdict(card), indent=2, sort_keys=True, allow_nan=False) + "\n"
         write_text(folder / _CARD, text)
 
     @classmethod
