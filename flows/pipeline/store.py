@@ -23,13 +23,14 @@ from components.core.files import read_json, write_json
 from flows.pipeline.errors import StoreError
 from flows.pipeline.locks import locked
 from flows.pipeline.plan import digest
+from flows.pipeline.task import REACHED_FILE
 
 __all__ = ["ArtifactStore", "Work", "disk_error_message"]
 
 _MEMBERS = "members.json"
 _READY = "ready.json"
 _OUT = "out"
-_OURS = (_MEMBERS, _READY, _OUT)
+_OURS = (_MEMBERS, _READY, _OUT, REACHED_FILE)
 
 
 def disk_error_message(error: BaseException, root: Path) -> str | None:
@@ -90,8 +91,10 @@ class ArtifactStore:
                 for folder in (self.nodes, self.work, self.locks, self._progress):
                     folder.mkdir(parents=True, exist_ok=True)
                 probe = self.locks / f".probe-{os.getpid()}"
-                probe.write_text("a few bytes, to find a full disk before the work starts\n")
-                probe.unlink()
+                try:
+                    probe.write_text("a few bytes, to find a full disk before the work starts\n")
+                finally:
+                    probe.unlink(missing_ok=True)
             except OSError as error:
                 sentence = disk_error_message(error, self.root)
                 raise StoreError(sentence or f"{self.root} cannot be used: {error}.") from error
@@ -174,7 +177,9 @@ class ArtifactStore:
             with suppress(FileNotFoundError):
                 if not isinstance(members, dict):
                     continue
-                begun = any(entry.name not in _OURS for entry in folder.iterdir())
+                # Hidden ones are half-written files of killed processes.
+                names = (entry.name for entry in folder.iterdir())
+                begun = any(name not in _OURS and not name.startswith(".") for name in names)
                 found.append(
                     Work(folder, tuple(members["members"]), frozenset(members["serves"]), begun)
                 )
@@ -202,6 +207,15 @@ class ArtifactStore:
         if rest:
             groups.append([key for key in keys if key in rest])
         return groups
+
+    def begun(self) -> dict[frozenset[str], float]:
+        """By their keys, the fraction that the checkpoint of nodes computed together holds."""
+        found = {}
+        for work in self.work_folders():
+            if work.resumed:
+                reached = read_json(work.path / REACHED_FILE)
+                found[self.unfinished(work)] = reached if isinstance(reached, float) else 0.0
+        return found
 
     def open_work(self, keys: Sequence[str]) -> Work:
         """Finds or makes the work folder for unfinished nodes whose locks are held.
@@ -232,7 +246,7 @@ class ArtifactStore:
             beginning.mkdir()
         else:
             members = wider.members
-            ignore = shutil.ignore_patterns(*_OURS)
+            ignore = shutil.ignore_patterns(_MEMBERS, _READY, _OUT)
             shutil.copytree(wider.path, beginning, ignore=ignore)
         write_json(beginning / _MEMBERS, {"members": list(members), "serves": list(keys)})
         beginning.rename(folder)

@@ -111,5 +111,7 @@ class MlflowSweep:
                     for step, value in points
                 ],
             )
-            client.set_terminated(self.run_id, status)
+            begun = client.get_run(self.run_id).info.start_time or 0
+            # Not before the start, even if the clock was set back.
+            client.set_terminated(self.run_id, status, end_time=max(begun, now))
             self.run_id = None
