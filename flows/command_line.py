@@ -19,6 +19,7 @@ from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.processors import available_cpus, check_threads
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.runner import Outcome, run_plan
@@ -230,24 +231,25 @@ def run_sweep(
             "algorithms": ",".join(settings.algorithms),
             "seeds": ",".join(map(str, settings.seeds)),
         }
-    tracker.open(name, tags, params, plan)
-    SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}
-    try:
-        outcome = run_plan(
-            plan, store, tracker, display, executor=executor, command=command, repairs=repairs
-        )
-        if outcome.may_take_time:
-            files, metrics = report(outcome)
-        status = outcome.status
-    except KeyboardInterrupt:
-        status = "KILLED"
-        raise
-    finally:
-        with ignored_signals():
-            tracker.close(status, files, metrics)
+    with store_in_use(store):
+        tracker.open(name, tags, params, plan)
+        SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
+        try:
+            outcome = run_plan(
+                plan, store, tracker, display, executor=executor, command=command, repairs=repairs
+            )
+            if outcome.may_take_time:
+                files, metrics = report(outcome)
+            status = outcome.status
+        except KeyboardInterrupt:
+            status = "KILLED"
+            raise
+        finally:
+            with ignored_signals():
+                tracker.close(status, files, metrics)
     _name_missing(display, plan, outcome)
     return outcome.exit_code
 

@@ -8,8 +8,12 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from optuna.storages import JournalStorage
+
 from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
 from flows.configuration.settings import Settings, SettingsError
+from flows.pipeline.executors.executor import Executor
+from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.signals import ignored_signals
@@ -23,7 +27,7 @@ from flows.tuning.journal import journal_path, open_journal
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.results import best_losses, comparison, tuned_model
 from flows.tuning.search import search
-from flows.tuning.study import Study, ended_trials
+from flows.tuning.study import Study, StudySpecification, ended_trials
 from flows.tuning.trials import NullTrials, Trials
 from flows.tuning.tuned_file import write_tuned
 
@@ -92,6 +96,17 @@ def _run(settings: Settings) -> int:
     code = _generate(settings, plan, store)
     if code:
         return code
+    with store_in_use(store):
+        return _search(settings, found, journal, store, executor)
+
+
+def _search(
+    settings: Settings,
+    found: Sequence[StudySpecification],
+    journal: JournalStorage,
+    store: ArtifactStore,
+    executor: Executor,
+) -> int:
     console = Display()
     name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
     command = shlex.join(["python", *command_words()])

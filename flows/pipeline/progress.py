@@ -69,7 +69,7 @@ class Display:
         run_state = RunState(plan, groups, store, slots, done)
         table = Table(box=None, pad_edge=False)
         table.add_column("component")
-        for name in ("nodes", "finished", "to do", "task calls", "work"):
+        for name in ("nodes", "finished", "to do", "begun", "task calls", "work"):
             table.add_column(name, justify="right")
         for component, nodes in plan.by_component().items():
             open_nodes = [node for node in nodes if node.key not in done]
@@ -79,14 +79,17 @@ class Display:
                 str(len(nodes)),
                 str(len(nodes) - len(open_nodes)),
                 str(len(open_nodes)),
+                _begun(*run_state.begun(component)),
                 str(len(calls)),
                 duration(run_state.costs.seconds(open_nodes)) if open_nodes else "",
             )
         self.console.print(table)
         total = max(run_state.remaining().values(), default=0.0)
+        number, part = run_state.begun()
+        begun = f", {number} of them begun ({part:.0%})" if number else ""
         source = "from measured times" if run_state.costs.measured else "a rough guess"
         self.console.print(
-            f"{len(pending)} of {len(plan)} nodes to do, about {duration(total)} "
+            f"{len(pending)} of {len(plan)} nodes to do{begun}, about {duration(total)} "
             f"with {slots} at once ({source})."
             if pending
             else f"All {len(plan)} nodes are finished."
@@ -163,18 +166,23 @@ def _label(component: str) -> str:
     return component.replace("_", " ")
 
 
+def _begun(number: int, part: float) -> str:
+    return f"{number}, {part:.0%}" if number else ""
+
+
 def _counts(state: ComponentState) -> str:
     extras = [
         f"{number} {word}"
         for number, word in (
             (state.reused, "reused"),
             (state.running, "running"),
+            (state.begun, "begun"),
             (state.failed, "failed"),
             (state.skipped, "skipped"),
         )
         if number
     ]
-    part = f" {state.fraction:.0%}" if state.running else ""
+    part = f" {state.fraction:.0%}" if state.running or state.begun else ""
     return f"{state.done}/{state.total}{part}" + (f" ({', '.join(extras)})" if extras else "")
 
 

@@ -30,6 +30,7 @@ class ComponentState:
         fraction: Part of the component's work that is done, running calls included.
         per_minute: Nodes finished per minute since the component's first start; None if unknown.
         remaining: Seconds until its last node is done; None if nothing is left.
+        begun: Nodes that wait, but were begun in an earlier run and have a checkpoint.
     """
 
     component: str
@@ -42,6 +43,7 @@ class ComponentState:
     fraction: float
     per_minute: float | None
     remaining: float | None
+    begun: int = 0
 
     @property
     def done(self) -> int:
@@ -89,6 +91,10 @@ class RunState:
         self.slots = slots
         self._store = store
         self._left = {group.name: group for group in groups}
+        begun = store.begun()
+        self._reached = {
+            group.name: begun[keys] for group in groups if (keys := frozenset(group.keys)) in begun
+        }
         self._running: dict[str, _Call] = {}
         self._begun: dict[str, float] = {}
         self._reused = Counter(plan[key].component for key in done)
@@ -106,6 +112,21 @@ class RunState:
     def _components(self) -> list[tuple[str, list[Node]]]:
         return list(self.plan.by_component().items())
 
+    def begun(self, component: str | None = None) -> tuple[int, float]:
+        """How many nodes have a checkpoint of an earlier run, and what part of them it holds.
+
+        Args:
+            component: Whose nodes; None for all.
+        """
+        groups = [
+            (group, self._reached[name])
+            for name, group in self._left.items()
+            if name in self._reached and component in (None, group.component)
+        ]
+        cost = sum(node.cost for group, _ in groups for node in group.nodes)
+        done = sum(node.cost * reached for group, reached in groups for node in group.nodes)
+        return sum(len(group.nodes) for group, _ in groups), done / cost if cost else 0.0
+
     def submitted(self, name: str) -> None:
         """Notes that the executor has taken a group."""
         self._running[name] = _Call(self._left[name])
@@ -115,6 +136,7 @@ class RunState:
         """Notes the result of a group."""
         group = self._left.pop(name)
         self._running.pop(name, None)
+        self._reached.pop(name, None)
         self._finished[group.component] += len(result.finished)
         self._failed[group.component] += len(result.failed)
         for key in result.finished:
@@ -159,7 +181,7 @@ class RunState:
         expected = self.costs.seconds(group.nodes)
         call = self._running.get(name)
         if call is None or call.since is None:
-            return expected
+            return expected * (1.0 - self._reached.get(name, 0.0))
         gained = call.fraction - call.first
         if gained < _ENOUGH:
             return max(0.0, expected * (1.0 - call.fraction) - (now - call.since))
@@ -182,11 +204,17 @@ class RunState:
         self._read_progress()
         remaining = self.remaining()
         active: Counter[str] = Counter()
+        begun: Counter[str] = Counter()
         work = dict(self._work_done)
         for call in self._running.values():
             if call.since is not None:
                 active[call.group.component] += len(call.group.nodes)
                 work[call.group.component] += call.fraction * sum(n.cost for n in call.group.nodes)
+        for name, group in self._left.items():
+            call = self._running.get(name)
+            if name in self._reached and (call is None or call.since is None):
+                begun[group.component] += len(group.nodes)
+                work[group.component] += self._reached[name] * sum(n.cost for n in group.nodes)
         return [
             ComponentState(
                 component=name,
@@ -195,6 +223,7 @@ class RunState:
                 finished=self._finished[name],
                 failed=self._failed[name],
                 skipped=self._skipped[name],
+                begun=begun[name],
                 running=active[name],
                 fraction=min(1.0, work[name] / self._work[name]),
                 per_minute=self._per_minute(name),

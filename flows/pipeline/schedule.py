@@ -120,8 +120,12 @@ class CostModel:
         return bool(self._ratios)
 
     def learn(self, record: Mapping[str, Any]) -> None:
-        """Learns from one finished node; one that was continued after a kill is no measurement."""
-        if record.get("resumed") or not record.get("cost"):
+        """Learns from one finished node.
+
+        One that was continued after a kill is no measurement, nor is a time below zero, which
+        older stores hold if the clock was set back.
+        """
+        if record.get("resumed") or not record.get("cost") or record["seconds"] < 0.0:
             return
         name = (record["component"], record.get("tags", {}).get("algorithm", ""))
         self._ratios.setdefault(name, []).append(float(record["seconds"]) / float(record["cost"]))

@@ -52,8 +52,10 @@ class ArtifactStore(WorkFolders):
                 for folder in (self.nodes, self.work, self.locks, self._progress):
                     folder.mkdir(parents=True, exist_ok=True)
                 probe = self.locks / f".probe-{os.getpid()}"
-                probe.write_text("a few bytes, to find a full disk before the work starts\n")
-                probe.unlink()
+                try:
+                    probe.write_text("a few bytes, to find a full disk before the work starts\n")
+                finally:
+                    probe.unlink(missing_ok=True)
             except OSError as error:
                 sentence = disk_error_message(error, self.root)
                 raise StoreError(sentence or f"{self.root} cannot be used: {error}.") from error

@@ -15,16 +15,18 @@ lanes only.
 """
 
 import importlib
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from components.core.files import without_undefined, write_json
+from components.core.files import read_json, without_undefined, write_json
 
 __all__ = [
     "FAILURE_FILE",
+    "REACHED_FILE",
     "READ",
     "Job",
     "StopRequested",
@@ -34,6 +36,7 @@ __all__ = [
 ]
 
 FAILURE_FILE = "failure.txt"
+REACHED_FILE = "reached.json"  # in a work folder: the fraction that its checkpoint holds
 READ = ("metrics.json", "curves.npz", "params.json", "tags.json", "datasets.json")
 """The files of an artifact that a tracker reads."""
 
@@ -96,6 +99,13 @@ class TaskContext:
     _written: float = field(default=float("-inf"), repr=False)
     _fraction: float = field(default=0.0, repr=False)
     _losses: list[tuple[float, float]] = field(default_factory=list, repr=False)
+    _saved: int = field(default=0, repr=False)
+
+    def begin(self) -> None:
+        """Reports the fraction at which the call starts: more than 0 from a checkpoint."""
+        self._saved = self._newest_checkpoint()
+        reached = read_json(self.work / REACHED_FILE)
+        self.progress(reached if isinstance(reached, float) else 0.0)
 
     def progress(self, fraction: float) -> None:
         """Reports the fraction done, for the display. Cheap enough for every training step.
@@ -103,8 +113,9 @@ class TaskContext:
         Args:
             fraction: Between 0 and 1, over all jobs of the call.
         """
-        self._fraction = min(1.0, max(0.0, float(fraction)))
+        former, self._fraction = self._fraction, min(1.0, max(0.0, float(fraction)))
         if time.monotonic() - self._written >= self.interval:
+            self._note_checkpoint(former)
             self._write()
 
     def validated(self, fraction: float, loss: float) -> None:
@@ -123,6 +134,29 @@ class TaskContext:
         self.watch()
         if self.stop_file is not None and self.stop_file.exists():
             raise StopRequested(f"stopped at {self._fraction:.0%} of the budget")
+
+    def _note_checkpoint(self, reached: float) -> None:
+        """Notes how far a new checkpoint is, for whoever continues from it after a kill.
+
+        That is the fraction reported last before the checkpoint was seen.
+        """
+        if self.progress_file is None:
+            return
+        newest = self._newest_checkpoint()
+        if newest != self._saved:
+            write_json(self.work / REACHED_FILE, reached)
+            self._saved = newest
+
+    def _newest_checkpoint(self) -> int:
+        """When the newest checkpoint was written. Folders are none: snapshots are no states."""
+        return max(
+            (
+                entry.stat().st_mtime_ns
+                for entry in os.scandir(self.work)
+                if entry.is_file() and entry.name != REACHED_FILE
+            ),
+            default=0,
+        )
 
     def _write(self) -> None:
         if self.progress_file is not None:

@@ -16,13 +16,14 @@ from components.core.integrity import DamagedFileError
 from components.core.sealed import check_folder
 from flows.pipeline.artifacts import Artifacts
 from flows.pipeline.plan import digest
+from flows.pipeline.task import REACHED_FILE
 
 __all__ = ["Work", "WorkFolders"]
 
 _MEMBERS = "members.json"
 _READY = "ready.json"
 _OUT = "out"
-_OURS = (_MEMBERS, _READY, _OUT)
+_OURS = (_MEMBERS, _READY, _OUT, REACHED_FILE)
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,15 @@ class WorkFolders(Artifacts):
             groups.append([key for key in keys if key in rest])
         return groups
 
+    def begun(self) -> dict[frozenset[str], float]:
+        """By their keys, the fraction that the checkpoint of nodes computed together holds."""
+        found = {}
+        for work in self.work_folders():
+            if work.resumed:
+                reached = read_json(work.path / REACHED_FILE)
+                found[self.unfinished(work)] = reached if isinstance(reached, float) else 0.0
+        return found
+
     def open_work(self, keys: Sequence[str]) -> Work:
         """Finds or makes the work folder for unfinished nodes whose locks are held.
 
@@ -131,7 +141,7 @@ class WorkFolders(Artifacts):
             beginning.mkdir()
         else:
             members = wider.members
-            ignore = shutil.ignore_patterns(*_OURS)
+            ignore = shutil.ignore_patterns(_MEMBERS, _READY, _OUT)
             shutil.copytree(wider.path, beginning, ignore=ignore)
         whole = {"members": list(members), "serves": list(keys)}
         write_json(beginning / _MEMBERS, whole, durable=True)
@@ -223,5 +233,7 @@ def _read(folder: Path) -> Work | None:
         return None
     if folder.name != digest(sorted(serves), 8) or not set(serves) <= set(members):
         return None
-    begun = any(entry.name not in _OURS for entry in folder.iterdir())
+    # Hidden ones are half-written files of killed processes.
+    names = (entry.name for entry in folder.iterdir())
+    begun = any(name not in _OURS and not name.startswith(".") for name in names)
     return Work(folder, members, frozenset(serves), begun)

@@ -217,7 +217,7 @@ def _make(
     if "torch" in sys.modules:
         # A reused process keeps the thread count of its first task otherwise.
         sys.modules["torch"].set_num_threads(call.threads)
-    context.progress(0.0)
+    context.begin()
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
         task(jobs, context)

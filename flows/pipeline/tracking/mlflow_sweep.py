@@ -1,5 +1,6 @@
 """The parent run of a sweep in MLflow."""
 
+import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -104,5 +105,8 @@ class MlflowSweep:
             for file in files:
                 client.log_artifact(self.run_id, str(file), "report")
             log_anew(client, self.run_id, metrics or {})
-            client.set_terminated(self.run_id, status)
+            begun = client.get_run(self.run_id).info.start_time or 0
+            # Not before the start, even if the clock was set back.
+            end = max(begun, int(1000 * time.time()))
+            client.set_terminated(self.run_id, status, end_time=end)
             self.run_id = None

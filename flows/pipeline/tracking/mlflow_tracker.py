@@ -119,10 +119,7 @@ class MlflowTracker:
                 metrics=content.metrics,
                 datasets=content.datasets,
                 folder=folder,
-                times=(
-                    int(1000 * content.record["started"]),
-                    int(1000 * content.record["finished"]),
-                ),
+                times=_times(content.record),
             )
             self._runs[node.key] = (run_id, written)
             return True
@@ -170,3 +167,9 @@ class MlflowTracker:
         tags |= {"role": "node", "component": node.component, "key": node.key}
         tags |= {"version": str(node.version)}
         return tags | {"mlflow.note.content": f"{note}."[:_TAG_LENGTH]}
+
+
+def _times(record: Mapping[str, Any]) -> tuple[int, int]:
+    """Start and end in milliseconds since 1970; the end as measured, whatever the clock did."""
+    start = int(1000 * record["started"])
+    return start, start + int(1000 * max(0.0, record["wall_seconds"]))

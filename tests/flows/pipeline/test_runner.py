@@ -2,6 +2,7 @@
 
 import io
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,12 @@ from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
+from flows.pipeline.run_state import RunState
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.schedule import form_groups
+from flows.pipeline.signals import ending_signals
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.task import TaskContext
 from flows.pipeline.tracking.tracker import NullTracker, Tracker
 from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
@@ -276,3 +280,69 @@ def test_what_a_killed_call_has_reported_is_forgotten(store: ArtifactStore, log:
     looking = Looking(store)
     run_plan(plan, store, NullTracker(), Screen(), executor=looking)
     assert looking.seen == [(None, False)]
+
+
+def test_begun_nodes_are_shown_with_what_their_checkpoint_holds(
+    store: ArtifactStore, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Every step is reported, where otherwise half a second passes between two reports.
+    monkeypatch.setattr("flows.pipeline.worker.TaskContext", partial(TaskContext, interval=0.0))
+    lanes = half_done(log)
+    last = node("total", "t", log, {f"i{i}": lane for i, lane in enumerate(lanes)}, cost=3.0)
+    run(lanes, store)
+    # Five steps of eight are saved; a step is reported after it is, so the note is one behind.
+    assert store.begun() == {frozenset(lane.key for lane in lanes): 4 / 8}
+
+    screen = Screen()
+    screen.show_plan(Plan([last]), ArtifactStore(store.root, create=False), 1)
+    assert "4 of 4 nodes to do, 3 of them begun (50%), about 4 s" in screen.text
+    assert "3, 50%" in screen.text
+
+    plan = Plan([last])
+    groups = form_groups(plan, [one.key for one in plan], store)
+    run_state = RunState(plan, groups, store, 1, ())
+    state, *_ = run_state.components()
+    assert (state.begun, state.running, state.fraction) == (3, 0, 0.25)
+    assert state.remaining == pytest.approx(4.5, abs=0.2)
+
+    # The worker starts from there, so that nothing looks like fast progress.
+    work = store.open_work([lane.key for lane in lanes])
+    context = TaskContext(work.path, progress_file=store.progress_file("g"))
+    context.begin()
+    assert store.fraction("g") == 0.5
+
+    (log / "go").touch()
+    assert run([last], store).exit_code == 0
+    assert store.begun() == {}
+
+
+def test_half_written_checkpoint_is_none(store: ArtifactStore) -> None:
+    work = store.open_work(["a" * 32])
+    (work.path / ".checkpoint.json-0123456789ab.json").touch()
+    [found] = store.work_folders()
+    assert not found.resumed
+
+
+def test_a_clock_that_is_set_back_changes_no_duration(
+    store: ArtifactStore, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter(range(10**9, 0, -(10**6)))
+    monkeypatch.setattr("flows.pipeline.worker.time.time", lambda: float(next(clock)))
+    made = node("number", "n", log, number=1)
+    run([made], store)
+    record = store.record(made.key)
+    assert record["finished"] < record["started"]
+    assert 0.0 <= record["wall_seconds"] < 1000.0
+    assert 0.0 <= record["seconds"] < 1000.0
+
+
+def test_sigterm_ends_a_run_as_an_interrupt_does(store: ArtifactStore, log: Path) -> None:
+    first = node("number", "first", log, number=1, cost=9.0)
+    second = node("terminated", "second", log, number=1)
+    screen = Screen()
+    with ending_signals():
+        outcome = run([first, second], store, screen)
+    assert (outcome.status, outcome.exit_code) == ("KILLED", 143)
+    assert not outcome.may_take_time
+    assert outcome.finished == [first.key]
+    assert "Continue with: make it so" in screen.text

@@ -89,6 +89,11 @@ class Screen(Display):
         super().__init__(Console(file=self.file, width=120, force_terminal=terminal))
 
 
+def test_a_time_below_zero_is_no_measurement() -> None:
+    costs = CostModel([{"component": "data", "cost": 1.0, "seconds": -3600.0, "tags": {}}])
+    assert not costs.measured
+
+
 def test_plan_is_shown_with_counts_and_estimate(store: ArtifactStore, tmp_path: Path) -> None:
     screen = Screen()
     screen.show_plan(fan(tmp_path), store, 2)

@@ -128,6 +128,11 @@ def interrupted(jobs: Sequence[Job], context: TaskContext) -> None:
     raise KeyboardInterrupt
 
 
+def terminated(jobs: Sequence[Job], context: TaskContext) -> None:
+    """As if a batch system ended this process."""
+    signal.raise_signal(signal.SIGTERM)
+
+
 def dies_once(jobs: Sequence[Job], context: TaskContext) -> None:
     """Kills its own process after a checkpoint, the first time."""
     if not (context.work / "met-death").exists():

@@ -212,3 +212,42 @@ def test_a_silent_address_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setenv("RAY_ADDRESS", address)
         with pytest.raises(PipelineError, match=f"Nothing answers at RAY_ADDRESS={address}"):
             RayExecutor().start(print)
+
+
+# Takes the place of this project's code on one of two machines that share all their folders.
+_FOREIGN = """
+import sys
+from importlib.machinery import PathFinder
+
+class Foreign:
+    def find_spec(name, path=None, target=None):
+        return PathFinder.find_spec(name, [{!r}]) if name in ("flows", "components") else None
+
+sys.meta_path.insert(0, Foreign)
+"""
+
+
+@pytest.mark.slow(50)
+def test_machines_of_a_cluster(tmp_path: Path) -> None:
+    log, home, foreign = tmp_path / "log", tmp_path / "mlruns", tmp_path / "foreign"
+    for folder in (log, foreign / "flows", foreign / "components"):
+        folder.mkdir(parents=True)
+    (foreign / "flows" / "__init__.py").touch()
+    (foreign / "components" / "__init__.py").touch()
+    (foreign / "sitecustomize.py").write_text(_FOREIGN.format(str(foreign)), encoding="utf-8")
+    words = [sys.executable, "-m", "tests.flows.pipeline.executors.cluster_driver"]
+    done = subprocess.run(
+        [*words, str(home), str(log), str(foreign)],
+        env=os.environ | {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"},  # not beyond this computer
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    other, threads, lost, end = done.stdout.splitlines()
+    assert f"127.0.0.1 has other code in {foreign} than this computer in " in other
+    assert other.count("127.0.0.1") == 1  # the other machine is as it should be
+    assert threads.startswith("runner.threads=2, but a task can have no more than 1 of")
+    assert lost.endswith(" is gone; starting again elsewhere.")
+    assert end == "9 {}"
+    assert not list((home / "locks").iterdir())
