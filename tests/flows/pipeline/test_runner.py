@@ -48,6 +48,8 @@ def run(
     store: ArtifactStore,
     screen: Display | None = None,
     tracker: Tracker | None = None,
+    *,
+    repairs: bool = True,
 ) -> Outcome:
     return run_plan(
         Plan(nodes),
@@ -56,6 +58,7 @@ def run(
         screen or Screen(),
         executor=SerialExecutor(),
         command="make it so",
+        repairs=repairs,
     )
 
 
