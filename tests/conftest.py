@@ -13,6 +13,9 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+# Tests end processes, not the power: nothing has to reach the disk, and many waits are saved.
+os.fsync = lambda handle: None
+
 ROOT = Path(__file__).parents[1]
 # Files whose tests one process runs: they share what is costly to make, or each start Ray on all
 # cores. The mark xdist_group does nothing here: pytest 9.2 ignores the name pytest-xdist 3.8 sets.

@@ -11,7 +11,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from components.core.files import sync
 from components.core.integrity import DamagedFileError, describe_files
 from components.core.sealed import (
     RECORD,
@@ -158,7 +157,6 @@ class Artifacts:
             if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
                 raise
             shutil.rmtree(folder)
-        sync(self.nodes, below=False)
 
     def set_aside(self, key: str, place: int | None) -> bool:
         """Moves what is not what was written out of the way; the caller holds the node's lock.

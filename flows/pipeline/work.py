@@ -156,10 +156,10 @@ class WorkFolders(Artifacts):
             work.out(key).mkdir(parents=True)
 
     def mark_ready(self, work: Work, keys: Sequence[str]) -> None:
-        """Marks these outputs as whole, on the disk, too; they only have to be renamed."""
+        """Marks these outputs as whole, and on the disk; they only have to be renamed."""
         for key in keys:
             sync(work.out(key))
-        write_json(work.path / _READY, list(keys), durable=True)
+        write_json(work.path / _READY, list(keys))  # without it they are computed again, no more
 
     def publish_ready(self, work: Work, *, check: bool = True) -> None:
         """Renames what is marked ready, and removes the work folder once all it serves is there.
@@ -169,12 +169,14 @@ class WorkFolders(Artifacts):
             check: Whether outputs are compared with their digests before; a damaged one stays, and
                 its node is computed again.
         """
-        for key in read_json(work.path / _READY) or ():
+        ready = [key for key in read_json(work.path / _READY) or () if work.out(key).is_dir()]
+        for key in ready:
             with suppress(DamagedFileError):
-                if check and work.out(key).is_dir():
+                if check:
                     check_folder(work.out(key))
-                if work.out(key).is_dir():
-                    self.publish(work.out(key), key)
+                self.publish(work.out(key), key)
+        if ready:
+            sync(self.nodes, below=False)
         if not self.unfinished(work):
             self._discard(work.path)
 

@@ -1,6 +1,7 @@
 """Files and folders that appear whole or not at all."""
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,37 @@ def test_a_folder_takes_the_place_of_an_empty_one_but_not_of_a_used_one(tmp_path
         write("second")
     assert (tmp_path / "folder" / "file").read_text() == "first"
     assert names(tmp_path) == ["folder"]
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is handed to the disk and what is renamed, by name."""
+    done: list[str] = []
+    rename = os.replace
+
+    def fsync(handle: int) -> None:
+        done.append(Path(os.readlink(f"/proc/self/fd/{handle}")).name.partition("-")[0])
+
+    def replace(source: Path, target: Path) -> None:
+        done.append(f"-> {target.name}")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
+    return done
+
+
+def test_content_is_on_the_disk_before_it_has_its_name(tmp_path: Path, synced: list[str]) -> None:
+    write_json(tmp_path / "value.json", 1, durable=True)
+    assert synced == [".value.json", "-> value.json", tmp_path.name.partition("-")[0]]
+    synced.clear()
+    write_json(tmp_path / "progress.json", 1)
+    assert synced == ["-> progress.json"]
+    synced.clear()
+    with replacing(tmp_path / "folder", durable=True) as temporary:
+        (temporary / "deep").mkdir(parents=True)
+        (temporary / "deep" / "file").touch()
+    assert synced[:4] == ["file", "deep", ".folder", "-> folder"]
 
 
 def test_temporary_names_are_hidden_neighbours_that_keep_the_suffix(tmp_path: Path) -> None:

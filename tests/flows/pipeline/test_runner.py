@@ -53,6 +53,8 @@ def run(
     store: ArtifactStore,
     screen: Display | None = None,
     tracker: Tracker | None = None,
+    *,
+    repairs: bool = True,
 ) -> Outcome:
     return run_plan(
         Plan(nodes),
@@ -61,6 +63,7 @@ def run(
         screen or Screen(),
         executor=SerialExecutor(),
         command="make it so",
+        repairs=repairs,
     )
 
 

@@ -65,6 +65,12 @@ def number(jobs: Sequence[Job], context: TaskContext) -> None:
         finish(job, float(job.config["number"]))
 
 
+def number_of_a_file(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Writes what stands in the file `number` of the log folder; not reproducible."""
+    for job in jobs:
+        finish(job, float((Path(job.config["log"]) / "number").read_text()))
+
+
 def total(jobs: Sequence[Job], context: TaskContext) -> None:
     """Adds the values of all inputs."""
     for job in jobs:
@@ -95,6 +101,17 @@ def steps(jobs: Sequence[Job], context: TaskContext) -> None:
             threading.Event().wait(config["pause"])
     for job in jobs:
         finish(job, values[job.key])
+
+
+def checked_steps(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Adds up in the loop that all learners use, with its checkpoints."""
+    from tests.flows.pipeline.toy_learner import learn  # most toys do without PyTorch
+
+    for job in jobs:
+        config = job.config
+        checkpoint = context.work / "checkpoint.safetensors"
+        settings = (config["number"], config["steps"], config["hold"], Path(config["log"]))
+        finish(job, learn(checkpoint, job.key, *settings))
 
 
 def fails(jobs: Sequence[Job], context: TaskContext) -> None:

