@@ -150,6 +150,14 @@ def terminated(jobs: Sequence[Job], context: TaskContext) -> None:
     signal.raise_signal(signal.SIGTERM)
 
 
+def terminated_once(jobs: Sequence[Job], context: TaskContext) -> None:
+    """As if a batch system ended this process, the first time."""
+    if not (context.work / "met-death").exists():
+        (context.work / "met-death").touch()
+        terminated(jobs, context)
+    number(jobs, context)
+
+
 def dies_once(jobs: Sequence[Job], context: TaskContext) -> None:
     """Kills its own process after a checkpoint, the first time."""
     if not (context.work / "met-death").exists():

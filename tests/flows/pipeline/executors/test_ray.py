@@ -37,13 +37,14 @@ def test_ray_runs_a_plan_and_survives_its_workers(
     log.mkdir()
     (last,) = diamond(log)
     once = node("dies_once", "once", log, number=3)
+    asked = node("terminated_once", "asked", log, number=3)
     always = node("dies_always", "always", log)
     lost = node("total", "lost", log, {"a": always})
     bad = node("fails", "bad", log, number=1)
     threads = node("threads", "threads", log, number=0)
     text = io.StringIO()
     outcome = run_plan(
-        Plan([last, once, lost, bad, threads]),
+        Plan([last, once, asked, lost, bad, threads]),
         store := ArtifactStore(tmp_path / "mlruns"),
         NullTracker(),
         Display(Console(file=text, width=200)),
@@ -53,6 +54,8 @@ def test_ray_runs_a_plan_and_survives_its_workers(
     assert read_json(store.path(once.key) / "value.json") == 3.0
     assert counted(log, "deaths-once") == 1
     assert "The worker of once died; starting again from the checkpoint." in text.getvalue()
+    assert "The worker of asked died; starting again from the checkpoint." in text.getvalue()
+    assert read_json(store.path(asked.key) / "value.json") == 3.0
 
     assert set(outcome.failed) == {always.key, bad.key}
     assert counted(log, "deaths-always") == 3
