@@ -35,7 +35,7 @@ def test_no_damage_of_any_file_of_any_artifact_is_silent(
     found = kinds(source)
     assert {name.partition("/")[0] for name in found} == COMPONENTS
     assert len(found) > 40  # seven models, and every algorithm trained, evaluated, aggregated
-    for name, key in found.items():
+    for key in found.values():
         folder = copy.path(key)
         shutil.copytree(source.path(key), folder)
         record = copy.check(key)
