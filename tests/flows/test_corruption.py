@@ -34,7 +34,7 @@ def test_no_damage_of_any_file_of_any_artifact_is_silent(
     source, copy = ArtifactStore(smoke.store, create=False), ArtifactStore(tmp_path / "mlruns")
     found = kinds(source)
     assert {name.partition("/")[0] for name in found} == COMPONENTS
-    assert len(found) > 40  # seven models, and every algorithm trained, evaluated, aggregated
+    assert len(found) > 30  # every model fitted, every algorithm trained and aggregated
     for key in found.values():
         folder = copy.path(key)
         shutil.copytree(source.path(key), folder)
