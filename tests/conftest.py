@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 TOGETHER = {
     "tests/flows/pipeline/executors/test_ray.py": "ray",
     "tests/flows/tuning/test_ray.py": "ray",
+    "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/test_notebooks.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",

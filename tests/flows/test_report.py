@@ -19,6 +19,7 @@ from flows.render import find_policy, load_render_settings
 from flows.report import report
 from flows.report.films import film_notes
 from flows.report.software import software_notes
+from tests.flows.pipeline.toys import record_of
 
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
@@ -29,7 +30,7 @@ POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm
 def finish(store: ArtifactStore, node: Node, files: dict[str, Any]) -> None:
     folder = store.work / f"made-{node.key}"
     for name, content in (
-        {"node.json": {"key": node.key, "component": node.component}} | files
+        {"node.json": record_of(node.key, component=node.component)} | files
     ).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_json(folder / name, content)
@@ -42,7 +43,7 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     plan, store = benchmark_plan(load_settings(WORDS)), ArtifactStore(tmp_path)
     for number, node in enumerate(plan):
         if node.component == "data_generation":
-            finish(store, node, {"dataset/card.json": {}})
+            finish(store, node, {"dataset/card.json": {"first_window_return_mean": -2.0}})
         if node.component == "aggregation":
             points = [{"lambda": None, "policies": 1, "distance": 0.0, **POINT, "mean": number}]
             label = node.config["algorithm"]

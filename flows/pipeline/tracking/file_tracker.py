@@ -14,7 +14,7 @@ from typing import Any
 
 from components.core.files import without_undefined
 from components.core.integrity import load_json
-from components.core.sealed import check_folder
+from components.core.sealed import check_folder, content_digest, read_record
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.json_lines import append_line, mend_last_line, read_lines
 from flows.pipeline.plan import Node, Plan
@@ -78,6 +78,10 @@ class SweepFile:
     def has(self, event: str, about: str) -> bool:
         """Whether the newest event about a thing is of this kind."""
         return self._newest.get(about, {}).get("event") == event
+
+    def content(self, about: str) -> str | None:
+        """The digest of an artifact's files in the newest event about it; None if it has none."""
+        return self._newest.get(about, {}).get("content")
 
     def write(self, event: str, about: str, content: Mapping[str, Any]) -> None:
         """Adds an event, unless the newest one about the same thing is equal.
@@ -155,7 +159,11 @@ class FileTracker:
             TrackingError: the file cannot be written.
             DamagedFileError: the artifact cannot be read.
         """
-        if not self.file.has("node", node.key):
+        content = content_digest(read_record(folder))
+        known = self.file.content(node.key)
+        # Made again to other bytes, it is another result.
+        other = known is not None and content is not None and known != content
+        if not self.file.has("node", node.key) or other:
             self.file.write("node", node.key, describe_node(node) | _result(folder))
 
     def log_failure(self, node: Node, reason: str) -> None:
@@ -208,6 +216,7 @@ def _result(folder: Path) -> dict[str, Any]:
     measured = ("started", "finished", "seconds", "device", "hardware", "package")
     return {
         "folder": f"{folder.parent.name}/{folder.name}",
+        "content": content_digest(record),
         "metrics": load_json(metrics) if metrics.exists() else {},
         **{name: record[name] for name in measured if name in record},
     }

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from components.core.sealed import content_digest, read_record
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_run import flat, read_content
@@ -17,6 +18,7 @@ from flows.pipeline.tracking.tracker import Metrics
 __all__ = ["MlflowTracker"]
 
 _TAG_LENGTH = 5000
+_CONTENT = "content"  # tag: a digest of the artifact's files
 
 
 class MlflowTracker:
@@ -83,6 +85,7 @@ class MlflowTracker:
 
         Raises:
             TrackingError: MLflow cannot be used. The artifact is not touched.
+            DamagedFileError: the artifact cannot be read.
         """
         if self.record(node, folder):
             return
@@ -106,10 +109,12 @@ class MlflowTracker:
             TrackingError: MLflow cannot be used. The artifact is not touched.
         """
         with self.experiment.writing():
-            if self._has_run(node.key):
+            digest = content_digest(read_record(folder))
+            if self._has_run(node.key, digest):
                 return False
             content = read_content(folder)
             written = flat(content.tags) | self._tags(node)
+            written |= {_CONTENT: digest} if digest else {}
             written |= {self._mark: "computed"} | dict(tags or {})
             run_id = self.experiment.write_run(
                 node.name,
@@ -150,14 +155,22 @@ class MlflowTracker:
         """Name of the tag for a node's state in this sweep: computed, reused or failed."""
         return f"sweep.{self.sweep.name}"
 
-    def _has_run(self, key: str) -> bool:
+    def _has_run(self, key: str, content: str | None) -> bool:
+        """Whether there is a run of this result; one of an artifact with other files is deleted."""
         if key not in self._runs:
             # A driver of another sweep may have recorded it since this one started.
             found = f"attributes.status = 'FINISHED' and tags.key = '{key}' and tags.role = 'node'"
             run = next(self.experiment.search(found), None)
             if run is not None:
                 self._runs[key] = (run.info.run_id, run.data.tags)
-        return key in self._runs
+        if key not in self._runs:
+            return False
+        run_id, tags = self._runs[key]
+        if content is None or tags.get(_CONTENT, content) == content:
+            return True
+        self.experiment.client.delete_run(run_id)  # MLflow's trash keeps it
+        del self._runs[key]
+        return False
 
     def _tags(self, node: Node) -> dict[str, str]:
         note = f"**{node.name}**, a node of `{node.component}`"

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import nn
 
+from components.core.integrity import DamagedFileError
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator
 from components.core.tensors import load_tensors, save_tensors
@@ -126,6 +127,13 @@ def test_cards_that_do_not_fit_are_refused(folder: Path, changes: dict, reason: 
 def test_damaged_cards_are_refused(folder: Path, content: bytes) -> None:
     (folder / "policy.json").write_bytes(content)
     with pytest.raises(ValueError, match=r"policy\.json cannot be used .*train the policy again"):
+        Policy.load(folder)
+
+
+def test_a_card_that_was_changed_is_refused(folder: Path) -> None:
+    path = folder / "policy.json"
+    path.write_text(path.read_text() + " ")
+    with pytest.raises(DamagedFileError, match=r"policy\.json is damaged .*train the policy again"):
         Policy.load(folder)
 
 

@@ -18,6 +18,7 @@ from flows.pipeline.progress import Display
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.file_tracker import FileTracker
+from tests.flows.pipeline.damage import damage
 from tests.flows.pipeline.toys import node
 
 
@@ -191,3 +192,14 @@ def test_nothing_is_written_without_an_open_sweep(home: Path) -> None:
     with pytest.raises(TrackingError, match="No sweep is open"):
         tracker.log_failure(small(home)[0], "why")
     assert not home.exists()
+
+
+def test_a_node_that_was_made_again_to_other_bytes_is_another_result(home: Path) -> None:
+    log = home.parent / "log"
+    one = node("number_of_a_file", "one", log)
+    for number, made in (("3", 1), ("3", 1), ("4", 2)):
+        (log / "number").write_text(number)
+        damage(ArtifactStore(home).path(one.key) / "value.json", "flipped") if made == 2 else None
+        assert run(home, [one]).exit_code == 0
+        recorded = [line["metrics"]["value"] for line in lines(home) if line["event"] == "node"]
+        assert recorded == [3.0, 4.0][:made]

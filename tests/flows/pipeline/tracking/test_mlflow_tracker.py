@@ -1,6 +1,7 @@
 """The content of MLflow's database and artifact folder after a sweep."""
 
 import contextlib
+import io
 import os
 import shutil
 import signal
@@ -17,6 +18,8 @@ import pytest
 from rich.console import Console
 
 from components.core.files import write_json
+from components.core.integrity import SMALL, describe_files
+from components.core.sealed import read_record, seal
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Plan
@@ -26,6 +29,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_run import flat, link_tree, read_content
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import NullTracker
+from tests.flows.pipeline.damage import damage
 from tests.flows.pipeline.toys import node, wait_for
 from tests.flows.pipeline.tracking.sweeps import run, runs, small
 
@@ -308,3 +312,50 @@ def test_other_disks_get_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     copy, original = tmp_path / "copy" / "node.json", tmp_path / "node" / "node.json"
     assert copy.read_text() == original.read_text()
     assert not copy.samefile(original)
+
+
+def test_a_damaged_artifact_is_named_and_the_others_are_recorded(home: Path) -> None:
+    log = home.parent / "log"
+    nodes = [node("number", f"n{i}", log, number=i) for i in range(3)]
+    plan, store, screen = Plan(nodes), ArtifactStore(home), io.StringIO()
+    run_plan(plan, store, NullTracker(), Display(Console(file=screen)), executor=SerialExecutor())
+    # Its size is as before and nothing has to be made, so only the tracker reads it.
+    large = store.path(nodes[1].key) / "curves.npz"
+    large.write_bytes(large.read_bytes() + bytes(SMALL))
+    seal(large.parent, read_record(large.parent))
+    content = describe_files(large.parent)
+    tracker = MlflowTracker(home)
+    tracker.open("first", plan=plan)
+
+    def log_node(one: Node, folder: Path, log_node: Any = tracker.log_node) -> None:
+        if folder == large.parent:
+            damage(large, "flipped")
+        log_node(one, folder)
+
+    tracker.log_node = log_node  # type: ignore[method-assign]
+    outcome = run_plan(
+        plan, store, tracker, Display(Console(file=screen)), executor=SerialExecutor(),
+        repairs=False,
+    )  # fmt: skip
+    assert (outcome.exit_code, outcome.unrecorded) == (1, "")
+    assert list(outcome.damaged) == [nodes[1].key]
+    assert f"{large} is damaged" in screen.getvalue().replace("\n", "")
+    assert "MLflow" not in screen.getvalue()
+    assert sorted(run.info.run_name for run in runs(tracker, "node")) == ["n0", "n2"]
+    assert content != describe_files(large.parent)
+    tracker.close("FINISHED")
+
+
+def test_a_node_that_was_made_again_to_other_bytes_gets_another_run(home: Path) -> None:
+    log = home.parent / "log"
+    one = node("number_of_a_file", "one", log)
+    (log / "number").write_text("3")
+    run(home, [one])
+    path = ArtifactStore(home).path(one.key) / "value.json"
+    for number, expected in (("3", 3.0), ("4", 4.0)):
+        (log / "number").write_text(number)
+        damage(path, "flipped")
+        outcome, tracker = run(home, [one])
+        assert (outcome.exit_code, outcome.finished) == (0, [one.key])
+        (recorded,) = runs(tracker, "node")
+        assert recorded.data.metrics["value"] == expected
