@@ -101,7 +101,7 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             physics=config["physics"],
             simulator=simulator_version(),
             seed=best,
-            candidates={str(seed): found["return"] for seed, found in reached.items()},
+            candidates={str(seed): reached[seed]["return"] for seed in finite},
             step=reached[best]["step"],
             training=training,
             episodes=config["episodes"],

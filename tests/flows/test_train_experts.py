@@ -147,7 +147,7 @@ def test_a_seed_without_a_finite_return_is_not_chosen(
 
     def reach(*returns: float) -> None:
         found = [{"return": value, "step": 30} for value in returns]
-        monkeypatch.setattr("flows.tasks.experts._read_reached", lambda path: found.pop(0))
+        monkeypatch.setattr("flows.tasks.experts.load_json", lambda path: found.pop(0))
 
     reach(float("nan"), -5.0)
     run([choice], tmp_path)

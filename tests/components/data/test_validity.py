@@ -1,6 +1,7 @@
 """Logs that cannot be: every way to make or read one refuses them in one sentence."""
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -120,7 +121,10 @@ def store_unchecked(log: OfflineDataset, folder: Path) -> Path:
     folder.mkdir()
     for name, array in log.arrays().items():
         np.save(folder / f"{name}.npy", array)
-    (folder / "card.json").write_text(log.card.to_json())
+    values = {field.name: getattr(log.card, field.name) for field in dataclasses.fields(log.card)}
+    values["machine"] = values.pop("dynamics")  # its name in the file
+    # Earlier versions wrote numbers that JSON does not have.
+    (folder / "card.json").write_text(json.dumps(values, default=dict))
     return folder
 
 

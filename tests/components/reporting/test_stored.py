@@ -100,10 +100,10 @@ def test_a_damaged_artifact_is_named(store: Path, name: str) -> None:
     whole = path.read_text()
     path.write_text(whole.replace("9", "8", 1))
     with pytest.raises(DamagedFileError, match=f"{path} is damaged .*give the command of its sw"):
-        open_report(store)
+        open_report(store, "new")
     path.unlink()
     with pytest.raises(DamagedFileError, match=f"{path} is missing; give the command of its sw"):
-        open_report(store)
+        open_report(store, "new")
 
 
 def test_a_report_of_an_older_version_asks_for_its_command(store: Path) -> None:

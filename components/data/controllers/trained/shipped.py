@@ -44,7 +44,8 @@ class ExpertCard:
         physics: Variant of the system, e.g. "v3".
         simulator: Name and version of the physics engine.
         seed: Seed of the chosen policy.
-        candidates: By seed, as text, the highest mean return at an evaluation during training.
+        candidates: By seed, as text, the highest mean return at an evaluation during training, as
+            far as it is finite.
         step: Environment steps after which the chosen policy was kept.
         training: Settings of the training, by name.
         episodes: Whole episodes of its evaluation after training, without noise.

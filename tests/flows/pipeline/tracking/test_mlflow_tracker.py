@@ -22,7 +22,7 @@ from components.core.integrity import SMALL, describe_files
 from components.core.sealed import read_record, seal
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
-from flows.pipeline.plan import Plan
+from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
