@@ -19,8 +19,9 @@ from flows.pipeline.progress import Display
 from flows.pipeline.signals import ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, known_nodes
-from flows.planning.benchmark import check_model, data_plan, sweep_name
+from flows.planning.benchmark import data_plan, sweep_name
 from flows.planning.model_choice import tuned_folder
+from flows.planning.sizes import check_model
 from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
 from flows.tuning.journal import journal_path, open_journal

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from components.environments.mujoco.specifications import ROBOTS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan
-from flows.planning.benchmark import jsonable, simulated_on
+from flows.planning.nodes import jsonable, simulated_on
 
 __all__ = ["expert_plan"]
 

@@ -2,7 +2,8 @@
 
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node
-from flows.planning.benchmark import data_plan, model_node
+from flows.planning.benchmark import data_plan
+from flows.planning.nodes import model_node
 from flows.tuning.space import space_of
 from flows.tuning.study import StudySpecification
 

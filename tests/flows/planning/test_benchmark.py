@@ -9,7 +9,7 @@ from components.algorithms import ALGORITHMS
 from components.models import MODELS
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
-from flows.planning import benchmark
+from flows.planning import nodes
 from flows.planning.benchmark import benchmark_plan, data_plan, model_choice, sweep_name
 from tests.flows.grid import overridden
 
@@ -110,7 +110,7 @@ def test_a_new_version_of_an_algorithm_renews_its_runs_alone(
 ) -> None:
     raised = replace(ALGORITHMS["lion"], version=ALGORITHMS["lion"].version + 1)
     before = keys(plan())
-    monkeypatch.setattr(benchmark, "ALGORITHMS", {**ALGORITHMS, "lion": raised})
+    monkeypatch.setattr(nodes, "ALGORITHMS", {**ALGORITHMS, "lion": raised})
     after = keys(benchmark_plan(load_settings(BASE)))
     assert {kind(name) for name in before if before[name] != after[name]} == AFTER_LION
     assert {kind(name) for name in before if before[name] == after[name]} == EVERY_KIND - AFTER_LION
@@ -128,7 +128,7 @@ def test_a_new_version_of_a_model_renews_its_fits_and_what_reads_them(
 ) -> None:
     raised = replace(MODELS[model], version=MODELS[model].version + 1)
     before = keys(plan())
-    monkeypatch.setattr(benchmark, "MODELS", {**MODELS, model: raised})
+    monkeypatch.setattr(nodes, "MODELS", {**MODELS, model: raised})
     after = keys(benchmark_plan(load_settings(BASE)))
     assert {kind(name) for name in before if before[name] != after[name]} == changed
 
@@ -146,7 +146,7 @@ STORED = {
 def test_fits_of_unchanged_models_keep_the_keys_under_which_they_are_stored() -> None:
     # Rightly fails for a kind whose defaults or version change; then its line goes.
     data = Node("data_generation", "data/log", "tasks:generate", 2, {"seed": 0})
-    found = {n: benchmark.model_node(n, MODELS[n].config(), "log", data).key for n in STORED}
+    found = {n: nodes.model_node(n, MODELS[n].config(), "log", data).key for n in STORED}
     assert found == STORED
 
 
