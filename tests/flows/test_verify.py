@@ -162,6 +162,15 @@ def test_what_a_process_is_at_work_on_stays(
     assert work.is_dir()
 
 
+def test_work_that_was_never_begun_is_a_leftover(store: ArtifactStore) -> None:
+    for name, age in (("old", 2 * 86400.0), ("young", 0.0)):
+        folder = store.work / f".{name}"
+        folder.mkdir()
+        os.utime(folder, (time.time() - age,) * 2)
+    assert run(store, "--prune") == 0
+    assert [folder.name for folder in store.work.iterdir()] == [".young"]
+
+
 def test_artifacts_of_no_sweep_are_pruned_and_those_that_others_read_stay(
     store: ArtifactStore, plan: Plan, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
