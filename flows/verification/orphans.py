@@ -153,9 +153,9 @@ def _leftovers(store: ArtifactStore, runs: Sequence[RecordedRun] | None) -> Iter
                 yield Orphan("leftover", "what was being removed", (folder,))
     for folder in _entries(store.work):
         # Work begins under a hidden name, for less than a second.
-        if folder.name.startswith(".") and not folder.name.startswith(".gone-"):
-            if time.time() - _newest(folder) > _DAY:
-                yield Orphan("leftover", "work that was never begun", (folder,))
+        hidden = folder.name.startswith(".") and not folder.name.startswith(".gone-")
+        if hidden and time.time() - _newest(folder) > _DAY:
+            yield Orphan("leftover", "work that was never begun", (folder,))
     if runs is None:
         return
     known = {run.id for run in runs}
