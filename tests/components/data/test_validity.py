@@ -1,6 +1,7 @@
 """Logs that cannot be: every way to make or read one refuses them in one sentence."""
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -120,7 +121,9 @@ def store_unchecked(log: OfflineDataset, folder: Path) -> Path:
     folder.mkdir()
     for name, array in log.arrays().items():
         np.save(folder / f"{name}.npy", array)
-    (folder / "card.json").write_text(log.card.to_json())
+    card = dataclasses.asdict(log.card)
+    card["machine"] = card.pop("dynamics")
+    (folder / "card.json").write_text(json.dumps(card))
     return folder
 
 

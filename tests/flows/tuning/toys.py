@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from components.core.files import read_json, write_json
+from components.core.files import read_json, without_undefined, write_json
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
@@ -70,7 +70,7 @@ def fit(jobs: Sequence[Job], context: TaskContext) -> None:
             wait_for(context.stop_file.exists, "the driver's judgement")
         context.validated((step + 1) / settings["steps"], loss(settings) + 0.5 / (step + 1))
     count(settings["log"], f"finished-{job.key}")
-    write_json(job.out / "metrics.json", {"validation_loss": loss(settings)})
+    write_json(job.out / "metrics.json", without_undefined({"validation_loss": loss(settings)}))
 
 
 def data_node() -> Node:
