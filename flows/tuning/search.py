@@ -279,7 +279,7 @@ class _Search:
             return
         loss = metrics.get("validation_loss") if isinstance(metrics, dict) else None
         if loss is None or not math.isfinite(loss):
-            self._failed(study, trial, f"The held-out loss is {loss}.")
+            self._failed(study, trial, "The held-out loss is missing or not finite.")
             return
         study.complete(trial, float(loss))
         self._ended(study, trial, f"{loss:.6g}")

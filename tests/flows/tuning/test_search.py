@@ -146,7 +146,7 @@ def test_infinite_losses_are_failures(
     monkeypatch.setattr("tests.flows.tuning.toys.loss", lambda settings: float("nan"))
     assert run(home, log, 2).exit_code == 1
     assert {t.user_attrs["error"] for t in study(home, log).trials()} == {
-        "The held-out loss is nan."
+        "The held-out loss is missing or not finite."
     }
 
 
