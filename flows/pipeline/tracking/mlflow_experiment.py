@@ -182,6 +182,15 @@ class MlflowExperiment:
         self.client.set_terminated(run_id, status, end_time=end)
         return run_id
 
+    def keep_again(self, run_id: str, folder: Path) -> None:
+        """Keeps the files of a folder in place of those that a run has; holds `writing()` itself.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        with self.writing():
+            self._keep(run_id, self.client.get_run(run_id).info.artifact_uri, folder)
+
     def _keep(self, run_id: str, uri: str, folder: Path) -> None:
         from mlflow.utils.file_utils import local_file_uri_to_path
         from mlflow.utils.uri import is_local_uri

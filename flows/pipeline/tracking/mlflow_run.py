@@ -114,17 +114,23 @@ def _name(name: str) -> str:
 
 
 def link_tree(source: Path, target: Path) -> None:
-    """Gives every file of a folder a second name in another one, or copies it to another disk."""
+    """Gives every file of a folder a second name in another one, or copies it to another disk.
+
+    A name that belongs to another file there, such as a damaged one, is taken from it.
+    """
     for folder, _, names in os.walk(source):
         place = target / Path(folder).relative_to(source)
         place.mkdir(parents=True, exist_ok=True)
         for name in names:
+            file, second = Path(folder) / name, place / name
+            if second.exists():
+                if second.samefile(file):
+                    continue
+                second.unlink()
             try:
-                os.link(Path(folder) / name, place / name)
-            except FileExistsError:
-                continue
+                os.link(file, second)
             except OSError as error:
                 # Some file systems know no second names, others have used them all up.
                 if error.errno not in (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP):
                     raise
-                shutil.copy2(Path(folder) / name, place / name)
+                shutil.copy2(file, second)

@@ -90,6 +90,8 @@ class MlflowTracker:
         if self.record(node, folder):
             return
         run_id, tags = self._runs[node.key]
+        if (self.experiment.root / "damaged" / node.key).exists():
+            self.experiment.keep_again(run_id, folder)  # its files are those that were set aside
         if self._mark not in tags:
             with self.experiment.writing():
                 self.experiment.client.set_tag(run_id, self._mark, "reused")

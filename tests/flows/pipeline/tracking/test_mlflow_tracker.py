@@ -359,3 +359,6 @@ def test_a_node_that_was_made_again_to_other_bytes_gets_another_run(home: Path) 
         assert (outcome.exit_code, outcome.finished) == (0, [one.key])
         (recorded,) = runs(tracker, "node")
         assert recorded.data.metrics["value"] == expected
+        # The run's files are second names of the artifact's, so they were damaged as well.
+        (kept,) = home.glob(f"artifacts/{recorded.info.run_id}/artifacts/value.json")
+        assert kept.samefile(path)
