@@ -12,7 +12,7 @@ import torch
 from pydantic import Field
 
 from components.core.files import replacing
-from components.data.dataset import DatasetCard
+from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE, film, pictures_per_second
 from components.policies.policy import Policy
 from flows.command_line import run_door

@@ -3,6 +3,7 @@
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from pydantic import Field
@@ -11,6 +12,7 @@ from rich.console import Console
 from components.core.sealed import read_record, seal
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.pipeline.leftovers import store_alone
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
 from flows.pipeline.tracking.mlflow_address import StoreAddress
@@ -33,7 +35,7 @@ sweep of the store needs, with what it costs. The exit code is 1 if anything is 
                  means the same. What they hold now is taken to be right.
 
 Damaged artifacts are made again by the command of their sweep. Nothing that a running process uses
-is an orphan.
+is an orphan, and nothing is removed while a sweep uses the store.
 """
 
 
@@ -90,8 +92,10 @@ def verify(settings: VerifySettings) -> int:
     if outside and settings.prune:
         print("Nothing is removed: what is needed is not known while the above is damaged.")
         return 1
-    if not outside:
-        _tidy(store, find_orphans(store, sweeps, _recorded_runs(store), settings.days), settings)
+    if not outside and settings.prune:
+        _prune(store, settings)
+    elif not outside:
+        _offer(store, settings)
     if not damages:
         print("Nothing is damaged.")
     return int(bool(damages))
@@ -162,22 +166,52 @@ def _own_experiment(store: ArtifactStore) -> MlflowExperiment | None:
     return MlflowExperiment(store.root)
 
 
-def _tidy(store: ArtifactStore, orphans: Sequence[Orphan], settings: VerifySettings) -> None:
-    if not orphans:
-        return
+def _prune(store: ArtifactStore, settings: VerifySettings) -> None:
+    """Remove the orphans. A sweep that begins meanwhile waits: it might need one of them."""
+    store.locks.mkdir(exist_ok=True)
+    with store_alone(store) as (alone, _):
+        if not alone:
+            print("Nothing is removed: a sweep is using the store; try again when it has ended.")
+            return
+        orphans = _name_orphans(store, settings)
+        summary, total = _summary(orphans)
+        _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
+        removed = sum(_remove(store, orphan) for orphan in orphans)
+    if orphans:
+        print(f"{summary}; {removed} removed, which frees {total}.")
+
+
+def _offer(store: ArtifactStore, settings: VerifySettings) -> None:
+    """Name the orphans and say how they are removed."""
+    orphans = _name_orphans(store, settings)
+    summary, total = _summary(orphans)
+    if orphans:
+        print(f"{summary}. Removing them frees {total}: python -m flows.verify --prune")
+
+
+def _name_orphans(store: ArtifactStore, settings: VerifySettings) -> list[Orphan]:
+    orphans = find_orphans(store, _readable_sweeps(store), _recorded_runs(store), settings.days)
+    if not StoreAddress(store.root).own:
+        unsure = [orphan for orphan in orphans if orphan.kind == "artifact"]
+        orphans = [orphan for orphan in orphans if orphan.kind != "artifact"]
+        if unsure:
+            print(
+                f"{len(unsure)} artifacts of no recorded sweep or report are kept: the runs at "
+                "MLFLOW_TRACKING_URI, which may name them, are not read."
+            )
     for orphan in orphans:
         where = ", ".join(str(path.relative_to(store.root)) for path in orphan.paths)
         size = _size(freed_bytes(orphan.paths))
         print(f"orphan: {orphan.kind}, {orphan.what}" + (f" ({where}, {size})" if where else ""))
+    return orphans
+
+
+def _summary(orphans: Sequence[Orphan]) -> tuple[str, str]:
+    """How many there are of each kind, and what removing all of them frees."""
     kinds = Counter(orphan.kind for orphan in orphans)
     counts = ", ".join(f"{number} of kind {kind}" for kind, number in kinds.items())
-    total = _size(freed_bytes(path for orphan in orphans for path in orphan.paths))
-    if not settings.prune:
-        print(f"Orphans: {counts}. Removing them frees {total}: python -m flows.verify --prune")
-        return
-    _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
-    removed = sum(_remove(store, orphan) for orphan in orphans)
-    print(f"Orphans: {counts}; {removed} removed, which frees {total}.")
+    size = freed_bytes(path for orphan in orphans for path in orphan.paths)
+    return f"Orphans: {counts}", _size(size)
 
 
 def _delete_runs(store: ArtifactStore, runs: Sequence[str]) -> None:
@@ -197,8 +231,10 @@ def _remove(store: ArtifactStore, orphan: Orphan) -> bool:
         for path in orphan.paths:
             # Renamed first: a kill in the middle leaves no half of an artifact under its name.
             doomed = path if path.name.startswith(".") else path.with_name(f".gone-{path.name}")
-            path.rename(doomed)
-            shutil.rmtree(doomed) if doomed.is_dir() else doomed.unlink()
+            with suppress(FileNotFoundError):  # its owner has ended, and removed it
+                path.rename(doomed)
+                is_folder = doomed.is_dir() and not doomed.is_symlink()
+                shutil.rmtree(doomed) if is_folder else doomed.unlink()
         return True
 
 

@@ -7,7 +7,8 @@ if its size, its time of change or its place on the disk is another one.
 import hashlib
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -105,7 +106,7 @@ def check_file(
         MissingFileError: There is no such file.
         DamagedFileError: It has another size or another digest.
     """
-    try:
+    with _reading(path, remedy):
         status = path.stat()
         if status.st_size != expected[_SIZE]:
             said = f"{path} is damaged (it has {status.st_size} bytes, not {expected[_SIZE]})"
@@ -115,10 +116,6 @@ def check_file(
         ):
             said = f"{path} is damaged (its content is not what was written)"
             raise DamagedFileError(said, path, remedy)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise MissingFileError(f"{path} is missing", path, remedy) from error
-    except OSError as error:
-        raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, remedy) from error
 
 
 def check_files(
@@ -153,16 +150,25 @@ def load_json(path: Path, remedy: str = "") -> Any:
 
     Raises:
         MissingFileError: There is no such file.
-        DamagedFileError: It is not JSON.
+        DamagedFileError: It cannot be read, or is not JSON.
     """
+    with _reading(path, remedy):
+        content = path.read_bytes()
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(content)
+    except ValueError as error:
+        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, remedy) from error
+
+
+@contextmanager
+def _reading(path: Path, remedy: str) -> Iterator[None]:
+    """Turn what the disk says about a file into an error that names it."""
+    try:
+        yield
     except (FileNotFoundError, NotADirectoryError) as error:
         raise MissingFileError(f"{path} is missing", path, remedy) from error
     except OSError as error:
         raise DamagedFileError(f"{path} cannot be read ({error.strerror})", path, remedy) from error
-    except ValueError as error:
-        raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, remedy) from error
 
 
 def _sha256(path: Path, status: os.stat_result, *, fresh: bool = False) -> str:

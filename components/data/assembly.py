@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset, array_digest
 from components.data.returns import RETURN_STEPS, log_returns
 from components.data.validity import check_arrays, check_card
 

@@ -9,9 +9,8 @@ a digest of all arrays, checked when the folder is opened.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -19,18 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from components.core.cards import CardFormat
 from components.core.files import replacing, write_text
 from components.core.integrity import DamagedFileError, MissingFileError
-from components.core.version import code_version
+from components.data.card import REMEDY, DatasetCard
 from components.data.validity import check_card, check_log
 
-__all__ = ["FORMAT_VERSION", "DatasetCard", "OfflineDataset", "array_digest", "code_version"]
+__all__ = ["OfflineDataset", "array_digest"]
 
-FORMAT_VERSION: Final = 1
 _CARD = "card.json"
-_DYNAMICS: Final = "machine"
-"""Name of the dynamics specification on a stored card."""
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "frames": "<f4",
@@ -40,119 +35,6 @@ _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
         "truncated": "|b1",
         "episode_starts": "<i8",
     }
-)
-
-
-@dataclass(frozen=True)
-class DatasetCard:
-    """What a dataset is, where it came from, and how well its controller did.
-
-    Attributes:
-        name: of the dataset, e.g. "mediocre-0.2".
-        environment: Gymnasium id of the system it was logged on.
-        environment_parameters: its parameters, e.g. {"setpoint": 70.0}.
-        controller: name of the controller that logged it.
-        controller_digest: of its weights, where it is a trained policy; empty for a formula.
-        epsilon: probability per step that the whole action vector is random.
-        noise: deviation of the Gaussian noise on the controller's own actions, before clipping.
-        seed: of the generation; the random stream depends on name and seed alone.
-        trajectories: number of episodes.
-        steps: transitions of the longest episode.
-        transitions: of all episodes together.
-        discount: per step, of all returns below.
-        history: frames in an observation, newest first.
-        frame_features: names of the values of a frame.
-        action_features: names of the values of an action, each in [-1, 1].
-        dynamics: the dynamics specification, see `dynamics.py`: `known` (`features`, whose last
-            ones follow the actions, with their `keep`, `scale`, `low` and `high`), `learned`
-            (features to be predicted) and `reward` (weights of these); optionally `healthy`
-            (ranges of frame features outside of which the system has fallen).
-        simulator: name and version of the physics engine; empty where it is this package.
-        return_steps: window length of all returns below; after a terminal state rewards are 0.
-        first_window_return_mean: mean over episodes of the return of the first window, the
-            performance of the logging controller under the benchmark's protocol.
-        first_window_return_min: the least of them.
-        first_window_return_max: the greatest of them.
-        all_windows_return_mean: mean over every window start of every episode; windows do not
-            cross episodes.
-        digest: sha256 over all arrays.
-        code_version: version of the package that made it.
-        format_version: of the folder.
-    """
-
-    name: str
-    environment: str
-    environment_parameters: Mapping[str, Any]
-    controller: str
-    epsilon: float
-    seed: int
-    trajectories: int
-    steps: int
-    transitions: int
-    discount: float
-    history: int
-    frame_features: tuple[str, ...]
-    action_features: tuple[str, ...]
-    dynamics: Mapping[str, Any]
-    return_steps: int
-    first_window_return_mean: float
-    first_window_return_min: float
-    first_window_return_max: float
-    all_windows_return_mean: float
-    digest: str
-    controller_digest: str = ""
-    noise: float = 0.0
-    simulator: str = ""
-    code_version: str = field(default_factory=code_version)
-    format_version: int = FORMAT_VERSION
-
-    def to_json(self) -> str:
-        """The card as indented JSON, the same text for the same card."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        values[_DYNAMICS] = values.pop("dynamics")
-        for name in ("environment_parameters", _DYNAMICS):
-            values[name] = dict(values[name])
-        return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
-
-    @classmethod
-    def from_json(cls, text: str, source: object = "a dataset card") -> "DatasetCard":
-        """Read a card from the text that :meth:`to_json` made.
-
-        Args:
-            text: JSON.
-            source: Where it was, for messages.
-
-        Raises:
-            ValueError: It is not JSON, fields are missing or unknown, or it has a format that this
-                code cannot read.
-        """
-        return _CARDS.parse(text, source)
-
-    @classmethod
-    def load(cls, path: Path) -> "DatasetCard":
-        """Read `card.json`.
-
-        Raises:
-            FileNotFoundError: There is none.
-            ValueError: As :meth:`from_json`.
-        """
-        return _CARDS.read(path)
-
-
-def _amend(values: dict[str, Any]) -> None:
-    if {"trajectories", "steps"} <= values.keys():  # older cards: all episodes of equal length
-        values.setdefault("transitions", values["trajectories"] * values["steps"])
-    if _DYNAMICS in values:
-        values["dynamics"] = values.pop(_DYNAMICS)
-
-
-_REMEDY: Final = "generate the dataset again"
-_CARDS: Final = CardFormat(
-    kind=DatasetCard,
-    what="dataset",
-    remedy=_REMEDY,
-    version=("format_version", FORMAT_VERSION),
-    amend=_amend,
 )
 
 
@@ -281,21 +163,21 @@ class OfflineDataset:
         for name, dtype in _DTYPES.items():
             path = folder / f"{name}.npy"
             if not path.is_file():
-                raise MissingFileError(f"{path} is missing from its dataset", path, _REMEDY)
+                raise MissingFileError(f"{path} is missing from its dataset", path, REMEDY)
             try:
                 arrays[name] = np.load(path, mmap_mode="r", allow_pickle=False)
             except (ValueError, EOFError, OSError) as error:
                 said = f"{path} is damaged and cannot be read"
-                raise DamagedFileError(said, path, _REMEDY) from error
+                raise DamagedFileError(said, path, REMEDY) from error
             if arrays[name].dtype != np.dtype(dtype):
                 said = f"{path} holds {arrays[name].dtype}, not {dtype}"
-                raise DamagedFileError(said, path, _REMEDY)
+                raise DamagedFileError(said, path, REMEDY)
         if check and array_digest(arrays) != card.digest:
             raise DamagedFileError(
                 f"the arrays in {folder} do not have the digest on their card: they were changed "
                 "or damaged after they were written",
                 folder,
-                _REMEDY,
+                REMEDY,
             )
         dataset = cls(card=card, **arrays)
         _check_shapes(dataset, folder)
@@ -321,4 +203,4 @@ def _check_shapes(dataset: OfflineDataset, folder: Path) -> None:
         found = getattr(dataset, name).shape
         if found != shape:
             path = folder / f"{name}.npy"
-            raise DamagedFileError(f"{path} has the shape {found}, not {shape}", path, _REMEDY)
+            raise DamagedFileError(f"{path} has the shape {found}, not {shape}", path, REMEDY)

@@ -19,7 +19,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from components.data.dataset import DatasetCard, OfflineDataset
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset
 
 __all__ = ["REWARD", "DynamicsSpecification", "model_frames"]
 

@@ -9,13 +9,12 @@ Every check reads an array once, in blocks, so that memory-mapped logs of any si
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from components.data.dataset import DatasetCard
+from components.data.card import DatasetCard
 
 __all__ = ["check_arrays", "check_card", "check_log"]
 
@@ -34,7 +33,7 @@ _REWARD: Final = "reward"
 """A feature of dynamics specifications that every log has."""
 
 
-def check_log(card: "DatasetCard", arrays: Mapping[str, NDArray[Any]], source: object) -> None:
+def check_log(card: DatasetCard, arrays: Mapping[str, NDArray[Any]], source: object) -> None:
     """Refuse a log whose values cannot be, or whose card describes another one.
 
     Args:
@@ -58,7 +57,7 @@ def check_log(card: "DatasetCard", arrays: Mapping[str, NDArray[Any]], source: o
             )
 
 
-def check_card(card: "DatasetCard", source: object) -> None:
+def check_card(card: DatasetCard, source: object) -> None:
     """Refuse a card with fields that cannot be, whatever the arrays are.
 
     Raises:

@@ -122,6 +122,7 @@ class _Audit:
                     f"{self.store.path(node.key)} was made from another {role!r} than there is now"
                 )
                 self._reject(node, said)
+                self.stale.add(node.key)
                 return
 
     def _read_what_is_needed(self) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from flows.pipeline.locks import Lock
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["store_in_use"]
+__all__ = ["store_alone", "store_in_use"]
 
 _LOCK = ".in-use"
 _HALF_WRITTEN = re.compile(r"\..+-[0-9a-f]{12}(\.\w+)?")  # see components.core.files
@@ -26,13 +26,28 @@ _PROBE = ".probe-"  # of a disk or of the machines of a cluster
 @contextmanager
 def store_in_use(store: ArtifactStore) -> Iterator[None]:
     """Tells other processes that this one writes into a store, and removes leftovers first."""
-    handle = os.open(store.locks / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        with suppress(BlockingIOError):
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with store_alone(store) as (alone, handle):
+        if alone:
             _remove_leftovers(store)
         fcntl.flock(handle, fcntl.LOCK_SH)
         yield
+
+
+@contextmanager
+def store_alone(store: ArtifactStore) -> Iterator[tuple[bool, int]]:
+    """Keeps drivers from beginning, if none has the store in use.
+
+    Yields:
+        Whether none has, and the open file of the lock.
+    """
+    handle = os.open(store.locks / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            alone = True
+        except BlockingIOError:
+            alone = False
+        yield alone, handle
     finally:
         os.close(handle)
 

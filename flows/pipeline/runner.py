@@ -153,7 +153,9 @@ class _Run:
         self._set_aside(found)
         self.suspects, self.postponed, self.new = {}, set(), set()
         ended = self.outcome.failed.keys() | self.outcome.skipped.keys()
-        pending = [n.key for n in self.plan if n.key not in found.finished and n.key not in ended]
+        # What another driver has finished meanwhile is pending, too: a worker finds it there.
+        kept = found.finished & {*self.outcome.reused, *self.outcome.finished}
+        pending = [n.key for n in self.plan if n.key not in kept and n.key not in ended]
         if not pending:
             return False
         self._forget(pending)
@@ -213,14 +215,10 @@ class _Run:
             del self.waiting[group.name]
             self.running[group.name] = group
             self.store.clear_progress(group.name)
+            device, threads = self.executor.device, self.executor.threads
             self.executor.submit(
                 GroupCall.of(
-                    group.name,
-                    self.store.root,
-                    group.nodes,
-                    self.executor.device,
-                    self.executor.threads,
-                    self.repairs,
+                    group.name, self.store.root, group.nodes, device, threads, self.repairs
                 )
             )
             self.run_state.submitted(group.name)

@@ -13,9 +13,8 @@ from typing import Any
 from components.core.integrity import DamagedFileError, damaged_path
 from components.core.sealed import content_digest, seal
 from components.core.version import code_version
-from flows.pipeline.computer import cpu_seconds, hardware
+from flows.pipeline.computer import cpu_seconds, hardware, software
 from flows.pipeline.plan import Node
-from flows.pipeline.software import software
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
 

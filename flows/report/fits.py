@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-from components.core.files import read_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 
@@ -15,13 +14,15 @@ def fit_notes(done: Iterable[Node], store: ArtifactStore) -> list[str]:
     Args:
         done: Finished nodes of a sweep.
         store: With their artifacts.
+
+    Raises:
+        DamagedFileError: The metrics of a fit are missing or damaged.
     """
     notes = []
     for node in done:
         if node.component != "model_fitting":
             continue
-        metrics = read_json(store.path(node.key) / "metrics.json")
-        ended_at = metrics.get("training/ended_at") if isinstance(metrics, dict) else None
+        ended_at = store.read_json(node.key, "metrics.json").get("training/ended_at")
         if ended_at is not None:
             notes.append(
                 f"{node.tags['model']} on {node.tags['dataset']}: its loss was no longer finite at "

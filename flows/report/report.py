@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from components.core.files import write_text
-from components.data.dataset import DatasetCard
+from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.stored import ReportNodes

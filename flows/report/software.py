@@ -1,10 +1,9 @@
 """Says if cells of a table come from different software or devices."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from components.core.files import read_json
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 
@@ -28,7 +27,8 @@ def software_notes(cells: Sequence[Node], store: ArtifactStore) -> list[str]:
     for cell in cells:
         for node in _behind(cell):
             if node.key not in labels:
-                labels[node.key] = _label(read_json(store.path(node.key) / "node.json"))
+                known = store.complete(node.key)  # a cell may outlive what it was made from
+                labels[node.key] = _label(store.record(node.key) if known else {})
         made_with[tuple(sorted({labels[node.key] for node in _behind(cell)}))] += 1
     if len(set(labels.values())) < 2:
         return []
@@ -47,8 +47,8 @@ def _behind(node: Node) -> Iterator[Node]:
         yield from _behind(source)
 
 
-def _label(record: Any) -> str:
-    found = record.get("software") if isinstance(record, dict) else None
+def _label(record: Mapping[str, Any]) -> str:
+    found = record.get("software")
     if not isinstance(found, dict) or "torch" not in found:
         return "unknown software"
     precision = found.get("float32", "highest")

@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from optuna.trial import Trial, TrialState
 
@@ -21,39 +21,15 @@ from flows.pipeline.plan import Node, digest
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupCall, GroupResult
+from flows.tuning.outcome import SearchOutcome
 from flows.tuning.study import Study
 from flows.tuning.trial_queue import TrialQueue
 from flows.tuning.trials import Trials
 
-__all__ = ["SearchOutcome", "search"]
+__all__ = ["search"]
 
 _TICK = 0.5  # seconds between two looks at the intermediate losses
 _SIGN_OF_LIFE = 60.0  # seconds without a message after which running trials are listed
-
-
-@dataclass
-class SearchOutcome:
-    """How a search ended.
-
-    Attributes:
-        failed: Names of studies of which no trial could be evaluated.
-        interrupted: The exit code for the signal that ended the search; 0 for none.
-        unrecorded: Why the tracker lacks trials; empty if it lacks none.
-    """
-
-    failed: list[str] = field(default_factory=list)
-    interrupted: int = 0
-    unrecorded: str = ""
-
-    @property
-    def status(self) -> str:
-        """FINISHED, FAILED or KILLED."""
-        return "KILLED" if self.interrupted else "FAILED" if self.failed else "FINISHED"
-
-    @property
-    def exit_code(self) -> int:
-        """130 after Ctrl-C, 143 after SIGTERM, 1 if a study has no complete trial, else 0."""
-        return self.interrupted or int(bool(self.failed))
 
 
 @dataclass

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from components.core.integrity import DamagedFileError
-from components.core.sealed import check_folder, is_sealed
+from components.core.sealed import is_sealed
 from components.core.tensors import load_tensors
 from components.reporting.stored import ReportNodes
 from flows.pipeline.json_lines import read_lines
@@ -58,10 +57,7 @@ def check_nodes(store: ArtifactStore, progress: Callable[[int], None]) -> Nodes:
         if folder.name.startswith("."):
             continue
         try:
-            record = check_folder(folder, fresh=True)
-            if record.get("key") != folder.name:
-                raise DamagedFileError(f"{folder} holds the artifact of another node", folder)
-            if not is_sealed(record):
+            if not is_sealed(store.check(folder.name, fresh=True)):
                 unsealed.append(folder)
         except (ValueError, OSError) as error:
             damages.append(Damage(_sentence(error, folder), folder.name))

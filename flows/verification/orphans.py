@@ -13,10 +13,11 @@ import os
 import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from components.core.files import read_json
+from components.reporting.stored import ReportNodes
 from flows.pipeline.json_lines import read_lines
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
@@ -77,7 +78,7 @@ def find_orphans(
         days: Work that nobody has touched for so long is an orphan, whichever sweep began it.
 
     Raises:
-        ValueError: A tracker's file is damaged, so that it is not known what is needed.
+        ValueError: A report's or a tracker's file is damaged: it is not known what is needed.
     """
     names: dict[str, str] = {}
     for sweep in sweeps:
@@ -95,9 +96,8 @@ def _used(store: ArtifactStore, names: Mapping[str, str], runs: Iterable[Recorde
     """Keys that something names, and of all that these were made from."""
     open_keys = set(names) | {run.key for run in runs if run.key}
     for report in store.root.glob("reports/*/report.json"):
-        content = read_json(report)
-        if isinstance(content, dict):
-            open_keys |= {*content.get("aggregations", ()), *content.get("datasets", {}).values()}
+        nodes = ReportNodes.load(report.parent)
+        open_keys |= {*nodes.aggregations, *nodes.datasets.values()}
     for file in store.root.glob("tracking/*.jsonl"):
         for event in read_lines(file):
             node = event.get("node")
@@ -170,13 +170,17 @@ def _entries(folder: Path) -> list[Path]:
 
 def _files(path: Path) -> Iterator[os.stat_result]:
     for file in [path] if path.is_file() else path.rglob("*"):
-        if file.is_file() and not file.is_symlink():
-            yield file.stat()
+        with suppress(FileNotFoundError):  # a process that is at work there has removed it
+            if file.is_file() and not file.is_symlink():
+                yield file.stat()
 
 
 def _newest(folder: Path) -> float:
     """When anything in a folder was last written; the folder itself if it is empty."""
-    return max((file.st_mtime for file in _files(folder)), default=folder.stat().st_mtime)
+    times = [file.st_mtime for file in _files(folder)]
+    with suppress(FileNotFoundError):
+        times = times or [folder.stat().st_mtime]
+    return max(times, default=time.time())
 
 
 def freed_bytes(paths: Iterable[Path]) -> int:

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator, lane_key
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset, array_digest
 from components.data.dynamics import DynamicsSpecification, model_frames
 from components.models.action_vae import ActionVAE
 from components.models.mlp_ensemble.ensemble import MLPEnsemble

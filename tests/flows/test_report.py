@@ -105,6 +105,15 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
         assert (settings.proximity is not None) == (node.config["algorithm"] == "lion")
 
 
+def write_node(store: ArtifactStore, node: Node, software: Any) -> None:
+    """Write the record of a node that was computed with some software; None: it does not tell."""
+    folder = store.path(node.key)
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {"key": node.key, "name": node.name, "component": node.component, "inputs": {}}
+    record |= {"started": 0.0, "finished": 1.0, "seconds": 1.0}
+    write_json(folder / "node.json", record | ({"software": software} if software else {}))
+
+
 def made_with(store: ArtifactStore, plan: Plan, *records: Any) -> list[str]:
     """Notes on cells whose policies of seed 0, 1 ... were trained with the given software.
 
@@ -113,10 +122,7 @@ def made_with(store: ArtifactStore, plan: Plan, *records: Any) -> list[str]:
     for node in plan:
         seed = int(node.tags.get("seed", 0)) if node.component == "policy_training" else 0
         found = records[min(seed, len(records) - 1)]
-        folder = store.path(node.key)
-        folder.mkdir(parents=True, exist_ok=True)
-        record = {"key": node.key} | ({"software": found} if found else {})
-        write_json(folder / "node.json", record)
+        write_node(store, node, found)
     return software_notes(plan.by_component()["aggregation"], store)
 
 
@@ -140,10 +146,7 @@ def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> No
     other = [node for node in one if node.tags["dataset"] == "bad-0.4"]
     made_with(store, one, CPU)
     for node in other:
-        write_json(
-            store.path(node.key) / "node.json",
-            {"key": node.key, "software": CPU | {"device": "Xeon"}},
-        )
+        write_node(store, node, CPU | {"device": "Xeon"})
     cells = one.by_component()["aggregation"]
     assert software_notes(cells[:3], store) == [
         f"{start} {cpu} (2 cells), torch 2.13.0+cpu on Xeon (1 cell)."
@@ -152,7 +155,7 @@ def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> No
     assert software_notes(cells[:2], store) == []
     for node in one:
         if node.component in ("data_generation", "aggregation"):
-            write_json(store.path(node.key) / "node.json", {"key": node.key, "software": GPU})
+            write_node(store, node, GPU)
     assert software_notes(cells[:2], store) == []
 
 

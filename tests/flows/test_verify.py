@@ -10,6 +10,7 @@ import pytest
 from components.core.files import read_json, write_json
 from components.core.sealed import RECORD
 from flows.configuration.checking import SettingsError
+from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
@@ -96,9 +97,10 @@ def test_every_damaged_file_is_named_with_the_command_that_makes_it_again(
 def test_a_folder_under_another_key_is_damaged(
     store: ArtifactStore, plan: Plan, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    store.path(keys(plan)["source"]).rename(store.nodes / "another")
+    key = keys(plan)["source"]
+    store.path(key).rename(store.nodes / "another")
     assert run(store) == 1
-    assert "another holds the artifact of another node" in capsys.readouterr().out
+    assert f"another/node.json is that of {key}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -162,6 +164,30 @@ def test_what_a_process_is_at_work_on_stays(
     assert work.is_dir()
 
 
+def test_nothing_is_pruned_while_a_sweep_uses_the_store(
+    store: ArtifactStore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    work = begun_work(store, "f" * 32)
+    with store_in_use(store):
+        assert run(store, "--prune") == 0
+    assert "a sweep is using the store" in capsys.readouterr().out
+    assert work.is_dir()
+    assert run(store, "--prune") == 0
+    assert "Orphans: 1 of kind work; 1 removed" in capsys.readouterr().out
+    assert not work.exists()
+
+
+def test_a_link_is_removed_and_what_it_leads_to_stays(store: ArtifactStore, tmp_path: Path) -> None:
+    aside = tmp_path / "elsewhere"
+    aside.mkdir()
+    (aside / "file").write_text("kept")
+    (store.root / "damaged").mkdir()
+    (store.root / "damaged" / "link").symlink_to(aside)
+    assert run(store, "--prune") == 0
+    assert list((store.root / "damaged").iterdir()) == []
+    assert (aside / "file").read_text() == "kept"
+
+
 def test_work_that_was_never_begun_is_a_leftover(store: ArtifactStore) -> None:
     for name, age in (("old", 2 * 86400.0), ("young", 0.0)):
         folder = store.work / f".{name}"
@@ -181,6 +207,20 @@ def test_artifacts_of_no_sweep_are_pruned_and_those_that_others_read_stay(
     assert run(store, "--prune") == 0
     assert "orphan: artifact, other: in no recorded sweep" in capsys.readouterr().out
     assert {path.name for path in store.nodes.iterdir()} == set(keys(plan).values())
+
+
+def test_artifacts_stay_where_runs_are_kept_elsewhere(
+    store: ArtifactStore,
+    plan: Plan,
+    log: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://localhost:1")
+    finished(Plan([node("number", "other", log, number=5)]), store.root)
+    assert run(store, "--prune") == 0
+    assert "1 artifacts of no recorded sweep or report are kept" in capsys.readouterr().out
+    assert len(list(store.nodes.iterdir())) == 3
 
 
 def test_artifacts_that_a_report_or_an_event_names_stay(

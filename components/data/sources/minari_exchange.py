@@ -36,7 +36,8 @@ from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
 from components.core.files import temporary_name
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset, array_digest
 from components.data.history import gather_history
 from components.environments.systems import SYSTEMS  # its package registers them with Gymnasium
 

@@ -12,7 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from components.data.dataset import DatasetCard, OfflineDataset
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset
 from components.environments.systems import SYSTEMS
 
 __all__ = ["StoredLog"]

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from components.data.dataset import DatasetCard, OfflineDataset, array_digest
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset, array_digest
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
 from tests.components.synthetic import make_log

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from components.data.batches import LaneData
-from components.data.dataset import DatasetCard, OfflineDataset
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification, model_frames
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate

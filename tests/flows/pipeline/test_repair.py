@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,8 @@ from components.core import integrity
 from components.core.files import read_json, write_json
 from components.core.integrity import DamagedFileError, describe_files
 from components.core.sealed import RECORD, read_record, seal
-from flows.pipeline.audit import audit
+from flows.pipeline import runner
+from flows.pipeline.audit import Audit, audit
 from flows.pipeline.errors import StoreError
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
@@ -115,6 +117,8 @@ def test_what_was_made_from_other_bytes_is_made_again(store: ArtifactStore, log:
     folder = store.path(nodes[0].key)
     write_json(folder / "value.json", 4.0)
     seal(folder, read_record(folder))  # sound, but not what the others have read
+    found = audit(Plan(nodes), store)
+    assert found.stale == found.unusable.keys() == {nodes[1].key}
     screen = Screen()
     outcome = run(nodes, store, screen)
     # The third has to be looked at when the second is there again.
@@ -195,6 +199,32 @@ def test_damage_during_a_run_is_made_good_in_it(store: ArtifactStore, log: Path)
     assert (outcome.exit_code, len(outcome.finished)) == (0, 3)
     assert counted(log, "finished-first") == 2
     assert read_json(store.path(nodes[2].key) / "value.json") == 3.0
+
+
+def test_what_another_driver_makes_between_two_passes_is_taken_and_recorded(
+    store: ArtifactStore, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes = chain(log)
+    recorded = []
+    looks = []
+
+    def flip_the_first(one: Node) -> None:
+        recorded.append(one.name)
+        if recorded == ["first"]:
+            damage(store.path(one.key) / "value.json", "flipped")
+
+    def look(*given: Any) -> Audit:
+        looks.append(given)
+        if len(looks) == 2:  # the second is postponed now
+            assert run(nodes[:2], store).exit_code == 0
+        return audit(*given)
+
+    monkeypatch.setattr(runner, "audit", look)
+    outcome = run_with(flip_the_first, nodes, store)
+    assert outcome.exit_code == 0
+    assert sorted(outcome.finished) == sorted(one.key for one in nodes)
+    assert set(recorded) == {"first", "second", "third"}
+    assert [counted(log, f"finished-{one.name}") for one in nodes] == [2, 1, 1]
 
 
 def test_a_disk_that_damages_for_ever_ends_in_a_sentence(store: ArtifactStore, log: Path) -> None:

@@ -14,7 +14,8 @@ from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import Job, TaskContext
 from flows.tuning.journal import open_journal
-from flows.tuning.search import SearchOutcome, search
+from flows.tuning.outcome import SearchOutcome
+from flows.tuning.search import search
 from flows.tuning.space import Choice, Range, Space
 from flows.tuning.study import Study, StudySpecification
 from flows.tuning.trials import NullTrials

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from components.core.cards import CardFormat
 from components.core.files import write_text
-from components.data.dataset import code_version
+from components.core.version import code_version
 from components.policies.policy import Policy
 
 __all__ = ["SHIPPED", "Expert", "ExpertCard", "act_in_double"]

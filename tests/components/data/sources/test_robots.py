@@ -9,7 +9,8 @@ import torch
 
 from components.core.random_streams import lane_generator, lane_key
 from components.data.batches import LaneData
-from components.data.dataset import DatasetCard, OfflineDataset
+from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset
 from components.data.sources import robots
 from components.data.sources.robot_collection import Exploration, collect_episodes
 from components.data.sources.robots import RobotSpec

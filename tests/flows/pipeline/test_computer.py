@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 
-from flows.pipeline.software import processor, software
+from flows.pipeline.computer import processor, software
 
 
 def test_a_task_on_the_processor() -> None:
