@@ -26,17 +26,6 @@ from tests.flows.pipeline.toys import counted, node
 FILES = (RECORD, "value.json", "metrics.json", "curves.npz", "datasets.json", "deep/blob.bin")
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    (tmp_path / "log").mkdir()
-    return tmp_path / "log"
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> ArtifactStore:
-    return ArtifactStore(tmp_path / "mlruns")
-
-
 def chain(log: Path) -> list[Node]:
     """A number, a sum of it, a sum of that."""
     first = node("number", "first", log, number=3)
