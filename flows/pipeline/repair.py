@@ -43,8 +43,17 @@ class Repairs:
                     kept = f"{self._store.damaged.name}/{key}"
                     self._note(f"{sentence}: it is made again (kept in {kept}).")
         return {
-            key: f"{sentence}, {self._times[key]} times in this run: check the disk that holds "
-            f"{self._store.root} and give the same command again."
+            key: f"{sentence}, {self._times[key]} times in this run{self._remedy(key, found)}"
             for key, sentence in damaged.items()
             if self._times[key] > _REMAKES
         }
+
+    def _remedy(self, key: str, found: Audit) -> str:
+        """What to do; a sound artifact that nobody can read is no matter of the disk."""
+        if key in found.finished:
+            return (
+                ", though its files are what was written: whoever reads them expects others. If no "
+                f"setting explains that, delete {self._store.path(key)} and give the same command "
+                "again."
+            )
+        return f": check the disk that holds {self._store.root} and give the same command again."

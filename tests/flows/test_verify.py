@@ -24,12 +24,6 @@ COMMAND = "python -m flows.full_benchmark sweep=first"
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
-    (tmp_path / "log").mkdir()
-    return tmp_path / "log"
-
-
-@pytest.fixture
 def plan(log: Path) -> Plan:
     source = node("number", "source", log, number=1)
     return Plan([node("total", "sum", log, inputs={"a": source})])

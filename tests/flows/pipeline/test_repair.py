@@ -26,17 +26,6 @@ from tests.flows.pipeline.toys import counted, node
 FILES = (RECORD, "value.json", "metrics.json", "curves.npz", "datasets.json", "deep/blob.bin")
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    (tmp_path / "log").mkdir()
-    return tmp_path / "log"
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> ArtifactStore:
-    return ArtifactStore(tmp_path / "mlruns")
-
-
 def chain(log: Path) -> list[Node]:
     """A number, a sum of it, a sum of that."""
     first = node("number", "first", log, number=3)
@@ -240,6 +229,21 @@ def test_a_disk_that_damages_for_ever_ends_in_a_sentence(store: ArtifactStore, l
     assert outcome.skipped == {one.key: nodes[0].key for one in nodes[1:]}
     assert counted(log, "finished-first") == 3
     assert counted(log, "finished-second") == 0
+
+
+def test_a_sound_input_that_its_reader_cannot_use_is_not_blamed_on_the_disk(
+    store: ArtifactStore, log: Path
+) -> None:
+    first = node("number", "first", log, number=3)
+    last = node("cannot_read", "last", log, {"a": first})
+    outcome = run([first, last], store)
+    assert outcome.exit_code == 1
+    (reason,) = outcome.failed.values()
+    assert f"{store.path(first.key)}/value.json is no policy, 3 times in this run" in reason
+    assert "what was written: whoever reads them expects others. If no setting explains" in reason
+    assert "disk" not in reason
+    assert store.complete(first.key)
+    assert counted(log, "finished-first") == 1
 
 
 def test_damage_that_only_the_reader_sees_is_read_again_before_it_is_believed(

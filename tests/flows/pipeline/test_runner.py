@@ -26,17 +26,6 @@ from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    (tmp_path / "log").mkdir()
-    return tmp_path / "log"
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> ArtifactStore:
-    return ArtifactStore(tmp_path / "mlruns")
-
-
 class Screen(Display):
     """A display whose text can be read."""
 

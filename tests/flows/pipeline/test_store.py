@@ -19,11 +19,6 @@ from tests.flows.pipeline.toys import record_of
 A, B, C = (letter * 32 for letter in "abc")
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> ArtifactStore:
-    return ArtifactStore(tmp_path / "mlruns")
-
-
 def make(store: ArtifactStore, key: str) -> None:
     folder = store.work / f"made-{key}"
     folder.mkdir()

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from components.core.files import read_json, write_json
+from components.core.integrity import DamagedFileError
 from flows.pipeline.plan import Node
 from flows.pipeline.task import Job, TaskContext
 
@@ -112,6 +113,12 @@ def checked_steps(jobs: Sequence[Job], context: TaskContext) -> None:
         checkpoint = context.work / "checkpoint.safetensors"
         settings = (config["number"], config["steps"], config["hold"], Path(config["log"]))
         finish(job, learn(checkpoint, job.key, *settings))
+
+
+def cannot_read(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Expects something else of its inputs."""
+    path = next(iter(jobs[0].inputs.values())) / "value.json"
+    raise DamagedFileError(f"{path} is no policy", path)
 
 
 def fails(jobs: Sequence[Job], context: TaskContext) -> None:
