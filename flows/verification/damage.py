@@ -98,6 +98,8 @@ def check_records(store: ArtifactStore) -> list[Damage]:
 
 
 def _read_database(path: Path) -> None:
+    if path.stat().st_size == 0:
+        raise ValueError("it is empty")  # to SQLite, a database without tables
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)
     try:
         [found] = connection.execute("pragma quick_check(1)").fetchone()
