@@ -79,18 +79,18 @@ def verify(settings: VerifySettings) -> int:
     """
     store = ArtifactStore(settings.store, create=False)
     nodes = _read_nodes(store)
-    damages = [*nodes.damages, *check_work(store), *check_records(store)]
+    records = check_records(store)
+    damages = [*nodes.damages, *check_work(store), *records]
     sweeps = _readable_sweeps(store)
     print(f"{settings.store}/: {nodes.checked} finished artifacts, {len(sweeps)} recorded sweeps.")
     for damage in damages:
         print(f"damaged: {damage.sentence}{_needed_by(damage, sweeps)}")
     if nodes.unsealed:
         _seal(store, nodes, seal_now=settings.seal)
-    outside = [damage for damage in damages if not damage.key]
-    if outside and settings.prune:
-        print("Nothing is removed: what is needed is not known while the above is damaged.")
+    if records and settings.prune:
+        print("Nothing is removed: what is needed is not known while a record is damaged.")
         return 1
-    if not outside:
+    if not records:
         _tidy(store, find_orphans(store, sweeps, _recorded_runs(store), settings.days), settings)
     if not damages:
         print("Nothing is damaged.")

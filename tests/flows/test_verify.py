@@ -147,6 +147,22 @@ def test_a_record_that_is_still_json_is_no_longer_what_was_written(
     assert run(store) == 0
 
 
+@pytest.mark.parametrize("name", ["members.json", "checkpoint.safetensors"])
+def test_damaged_work_is_named_and_keeps_nothing_from_being_pruned(
+    name: str, store: ArtifactStore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    SweepRecord("second", "the command", {"e" * 32: "lion/plant/seed0"}).save(store.root)
+    other = begun_work(store, "f" * 32)
+    work = begun_work(store, "e" * 32)
+    (work / name).write_text("{")
+    assert run(store, "--prune") == 1
+    said = capsys.readouterr().out
+    assert f"damaged: {work}" in said
+    assert ("with: the command" in said) == (name == "checkpoint.safetensors")
+    assert not other.exists()
+    assert work.is_dir()
+
+
 def test_work_of_no_recorded_sweep_is_named_and_then_pruned(
     store: ArtifactStore, capsys: pytest.CaptureFixture[str]
 ) -> None:
