@@ -134,6 +134,9 @@ def _search(
 
     try:
         studies = [Study(specification, journal) for specification in found]
+        # The record may be damaged, or lack the trials of an older version.
+        begun |= {node.key: node.name for study in studies for _, node in study.begun()}
+        SweepRecord(name, command, begun).save(store.root)
 
         def finished(study: Study) -> None:
             tuned = tuned_model(study, store)

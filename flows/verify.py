@@ -81,20 +81,20 @@ def verify(settings: VerifySettings) -> int:
     """
     store = ArtifactStore(settings.store, create=False)
     nodes = _read_nodes(store)
-    damages = [*nodes.damages, *check_work(store), *check_records(store)]
+    records = check_records(store)
+    damages = [*nodes.damages, *check_work(store), *records]
     sweeps = _readable_sweeps(store)
     print(f"{settings.store}/: {nodes.checked} finished artifacts, {len(sweeps)} recorded sweeps.")
     for damage in damages:
         print(f"damaged: {damage.sentence}{_needed_by(damage, sweeps)}")
     if nodes.unsealed:
         _seal(store, nodes, seal_now=settings.seal)
-    outside = [damage for damage in damages if not damage.key]
-    if outside and settings.prune:
-        print("Nothing is removed: what is needed is not known while the above is damaged.")
+    if records and settings.prune:
+        print("Nothing is removed: what is needed is not known while a record is damaged.")
         return 1
-    if not outside and settings.prune:
+    if not records and settings.prune:
         _prune(store, settings)
-    elif not outside:
+    elif not records:
         _offer(store, settings)
     if not damages:
         print("Nothing is damaged.")

@@ -3,6 +3,8 @@
 The record is `node.json`, a JSON object. Its `files` describe all other files of the folder, its
 `digest` is the SHA-256 of the canonical JSON of everything else in the record. A record with
 neither comes from an older version: what lies beside it is accepted and cannot be checked.
+
+A JSON object that describes no folder may hold a digest of itself, too.
 """
 
 import hashlib
@@ -22,6 +24,7 @@ from components.core.integrity import (
 __all__ = [
     "RECORD",
     "REMEDY",
+    "check_digest",
     "check_folder",
     "content_digest",
     "is_sealed",
@@ -29,6 +32,7 @@ __all__ = [
     "read_record",
     "read_sealed_json",
     "seal",
+    "with_digest",
 ]
 
 RECORD: Final = "node.json"
@@ -47,7 +51,7 @@ def seal(folder: Path, values: Mapping[str, Any]) -> None:
     kept = {name: value for name, value in values.items() if name not in (_FILES, _DIGEST)}
     # As it will be read: keys become text, tuples become lists.
     record = json.loads(json.dumps(kept)) | {_FILES: describe_files(folder, leave_out=(RECORD,))}
-    write_json(folder / RECORD, record | {_DIGEST: _digest(record)})
+    write_json(folder / RECORD, with_digest(record))
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -127,6 +131,22 @@ def read_sealed_json(folder: Path, name: str) -> Any:
     """
     check_folder(folder, (name,))
     return load_json(folder / name, REMEDY)
+
+
+def with_digest(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A JSON object with a digest of itself."""
+    return {**values, _DIGEST: _digest(values)}
+
+
+def check_digest(values: dict[str, Any]) -> None:
+    """Take the digest from a JSON object; objects of older versions have none.
+
+    Raises:
+        ValueError: The object is not what was written.
+    """
+    written = values.pop(_DIGEST, None)
+    if written not in (None, _digest(values)):
+        raise ValueError("its content is not what was written")
 
 
 def _digest(value: Any) -> str:

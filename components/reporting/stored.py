@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from components.core.cards import CardFormat
 from components.core.files import write_json
-from components.core.sealed import read_sealed_json
+from components.core.sealed import check_digest, read_sealed_json, with_digest
 from components.reporting.figures import proximity_figure
 from components.reporting.tables import read_results, with_undefined
 
@@ -45,7 +45,7 @@ class ReportNodes:
 
     def save(self, report: Path) -> None:
         """Write them into a report's folder."""
-        write_json(report / _NODES, dict([_VERSION]) | asdict(self))
+        write_json(report / _NODES, dict([_VERSION]) | with_digest(asdict(self)))
 
     @classmethod
     def load(cls, report: Path) -> "ReportNodes":
@@ -63,6 +63,7 @@ _FORMAT: Final = CardFormat(
     what="complete report",
     remedy="give the sweep's command again to write it",
     version=_VERSION,
+    amend=check_digest,
 )
 
 

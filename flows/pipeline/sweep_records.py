@@ -11,6 +11,7 @@ from pathlib import Path
 
 from components.core.cards import CardFormat
 from components.core.files import write_json
+from components.core.sealed import check_digest, with_digest
 
 __all__ = ["SweepRecord", "known_nodes", "read_sweep", "sweep_files"]
 
@@ -40,7 +41,7 @@ class SweepRecord:
         path = _folder(root) / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         content = {"name": self.name, "command": self.command, "nodes": dict(self.nodes)}
-        write_json(path, dict([_VERSION]) | content)
+        write_json(path, dict([_VERSION]) | with_digest(content))
 
 
 _FORMAT = CardFormat(
@@ -48,6 +49,7 @@ _FORMAT = CardFormat(
     what="record of a sweep",
     remedy="give the sweep's command again to write it",
     version=_VERSION,
+    amend=check_digest,
 )
 
 

@@ -207,16 +207,26 @@ class WorkFolders(Artifacts):
                     if not work.resumed:
                         self._discard(work.path)
         said = []
-        for folder in sorted(self.work.iterdir()):
-            if folder.name.startswith(".gone-"):
-                shutil.rmtree(folder, ignore_errors=True)
-            elif not folder.name.startswith(".") and folder.is_dir() and _useless(folder):
-                self._discard(folder)
-                said.append(
-                    f"{folder} is removed, since its {_MEMBERS} is missing or damaged; "
-                    "what it was begun for begins anew."
-                )
+        for folder in sorted(self.work.glob(".gone-*")):
+            shutil.rmtree(folder, ignore_errors=True)
+        for folder in self.useless_work():
+            self._discard(folder)
+            said.append(
+                f"{folder} is removed, since its {_MEMBERS} is missing or damaged; "
+                "what it was begun for begins anew."
+            )
         return said
+
+    def useless_work(self) -> list[Path]:
+        """Work folders whose list of members is missing or damaged."""
+        folders = sorted(self.work.iterdir()) if self.work.is_dir() else ()
+        return [
+            folder
+            for folder in folders
+            if not folder.name.startswith(".")
+            # In this order: another process may remove its folder meanwhile.
+            if _useless(folder) and folder.is_dir()
+        ]
 
 
 def _useless(folder: Path) -> bool:

@@ -67,7 +67,8 @@ def search(
         How the search ended. Nothing is raised for failed trials.
 
     Raises:
-        PipelineError: Another process searches one of the studies, or the search cannot start.
+        PipelineError: Another process searches one of the studies, its journal is not what was
+            written, or the search cannot start.
     """
     with ExitStack() as held:
         for study in studies:
@@ -114,6 +115,8 @@ class _Search:
     def run(self) -> SearchOutcome:
         self.store.repair()
         for study in self.studies:
+            self._check_losses(study)
+        for study in self.studies:
             study.recover()
             self._remove_leftovers(study)
         self.queue.catch_up(self.studies)
@@ -141,6 +144,17 @@ class _Search:
             if study.best() is None and not self.outcome.interrupted:
                 self.outcome.failed.append(study.name)
         return self.outcome
+
+    def _check_losses(self, study: Study) -> None:
+        """Compare the losses in the journal, which chooses by them, with those of the fits.
+
+        Raises:
+            PipelineError: One differs.
+        """
+        for trial, node in study.begun():
+            there = trial.state is TrialState.COMPLETE and self.store.intact(node.key)
+            if there and trial.value != self._loss(node):
+                raise study.altered(trial, f"another loss than {self.store.path(node.key)}")
 
     def _remove_leftovers(self, study: Study) -> None:
         """Remove progress files and work of trials that will not go on, left by a killed driver."""
@@ -247,13 +261,16 @@ class _Search:
                 self._failed(call.study, trial, reason)
         self.store.clear_progress(result.group)
 
+    def _loss(self, node: Node) -> float | None:
+        metrics = self.store.read_json(node.key, "metrics.json")
+        return metrics.get("validation_loss") if isinstance(metrics, dict) else None
+
     def _evaluated(self, study: Study, trial: Trial, node: Node) -> None:
         try:
-            metrics = self.store.read_json(node.key, "metrics.json")
+            loss = self._loss(node)
         except DamagedFileError as error:
             self._failed(study, trial, str(error))
             return
-        loss = metrics.get("validation_loss") if isinstance(metrics, dict) else None
         if loss is None or not math.isfinite(loss):
             self._failed(study, trial, "The held-out loss is missing or not finite.")
             return

@@ -25,6 +25,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.storages.journal import JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from flows.pipeline.errors import PipelineError
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 from flows.tuning.journal import open_journal
@@ -135,6 +136,34 @@ class Study:
     def ended(self) -> int:
         """Number of trials that count: evaluated, pruned or failed by themselves."""
         return sum(has_ended(trial) for trial in self.trials())
+
+    def begun(self) -> list[tuple[FrozenTrial, Node]]:
+        """The trials that have a node, and what they compute.
+
+        Raises:
+            PipelineError: The journal holds other parameters than were drawn for a trial.
+        """
+        found = []
+        for trial in self.trials():
+            key = trial.user_attrs.get("key")
+            if key is None:
+                continue
+            try:
+                node = self.specification.node_of(trial.params, trial.number)
+            except (ValueError, KeyError):
+                node = None
+            if node is None or node.key != key:
+                raise self.altered(trial, "parameters that do not belong to its fit")
+            found.append((trial, node))
+        return found
+
+    def altered(self, trial: FrozenTrial, what: str) -> PipelineError:
+        """The error about a trial of which the journal holds something that was not written."""
+        return PipelineError(
+            f"The journal of {self.name} is damaged (trial {trial.number} has {what}): set "
+            "the file optuna/journal.log in the store aside and give the same command again; "
+            "finished fits are found in the store and not made again."
+        )
 
     def recover(self) -> None:
         """Repair the study after a killed driver, and enqueue the start if it is missing."""

@@ -23,7 +23,7 @@ class Damage:
 
     Attributes:
         sentence: What is wrong; it names the file.
-        key: The node whose artifact it belongs to; empty if it belongs to none.
+        key: The node whose artifact or work it belongs to; empty if it belongs to none.
     """
 
     sentence: str
@@ -67,14 +67,17 @@ def check_nodes(store: ArtifactStore, progress: Callable[[int], None]) -> Nodes:
 
 
 def check_work(store: ArtifactStore) -> list[Damage]:
-    """Read every checkpoint of work that no living process holds."""
-    damages = []
+    """Read every checkpoint of work that no living process holds, and what it is work for."""
+    damages: list[Damage] = []
     for work in store.work_folders():
         with store.locked(work.serves, wait=False) as free:
             if not free:
                 continue
             for path in sorted(work.path.rglob("*.safetensors")):
-                damages += _tried(load_tensors, path)
+                damages += _tried(load_tensors, path, min(work.serves))
+    for folder in store.useless_work():
+        said = f"{folder} does not say what it was begun for: the next sweep removes it."
+        damages.append(Damage(said))
     return damages
 
 
@@ -94,6 +97,8 @@ def check_records(store: ArtifactStore) -> list[Damage]:
 
 
 def _read_database(path: Path) -> None:
+    if path.stat().st_size == 0:
+        raise ValueError("it is empty")  # to SQLite, a database without tables
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)
     try:
         [found] = connection.execute("pragma quick_check(1)").fetchone()
@@ -103,13 +108,13 @@ def _read_database(path: Path) -> None:
         raise ValueError(f"SQLite finds: {found.splitlines()[-1]}")
 
 
-def _tried(reader: Callable[[Path], Any], path: Path) -> Iterator[Damage]:
+def _tried(reader: Callable[[Path], Any], path: Path, key: str = "") -> Iterator[Damage]:
     try:
         reader(path)
     except FileNotFoundError:
         return  # removed meanwhile by its owner
     except (ValueError, OSError, sqlite3.Error) as error:
-        yield Damage(_sentence(error, path))
+        yield Damage(_sentence(error, path), key)
 
 
 def _sentence(error: Exception, path: Path) -> str:

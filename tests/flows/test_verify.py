@@ -9,6 +9,7 @@ import pytest
 
 from components.core.files import read_json, write_json
 from components.core.sealed import RECORD
+from components.reporting.stored import ReportNodes
 from flows.configuration.checking import SettingsError
 from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.plan import Plan
@@ -105,6 +106,7 @@ def test_a_folder_under_another_key_is_damaged(
         ("tracking/first.jsonl", "no json\n"),
         ("optuna/journal.log", "[1]\n"),
         ("mlflow.db", "no database"),
+        ("mlflow.db", ""),
     ],
 )
 def test_damaged_records_are_named_and_nothing_is_pruned_while_they_are(
@@ -119,6 +121,41 @@ def test_damaged_records_are_named_and_nothing_is_pruned_while_they_are(
     assert "damaged: " in said
     assert str(path) in said
     assert "Nothing is removed" in said
+    assert work.is_dir()
+
+
+def test_a_record_that_is_still_json_is_no_longer_what_was_written(
+    store: ArtifactStore, plan: Plan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    key = keys(plan)["sum"]
+    report = store.root / "reports" / "first"
+    report.mkdir(parents=True)
+    ReportNodes((key,), {"plant": key}).save(report)
+    assert ReportNodes.load(report).aggregations == (key,)
+    for path in (report / "report.json", store.root / "sweeps" / "first.json"):
+        written = path.read_text()
+        path.write_text(written.replace(key, "f" * 32))
+        assert run(store, "--prune") == 1
+        said = capsys.readouterr().out
+        assert f"damaged: {path} cannot be used because its content is not what was written" in said
+        assert store.complete(key)
+        path.write_text(written)
+    assert run(store) == 0
+
+
+@pytest.mark.parametrize("name", ["members.json", "checkpoint.safetensors"])
+def test_damaged_work_is_named_and_keeps_nothing_from_being_pruned(
+    name: str, store: ArtifactStore, capsys: pytest.CaptureFixture[str]
+) -> None:
+    SweepRecord("second", "the command", {"e" * 32: "lion/plant/seed0"}).save(store.root)
+    other = begun_work(store, "f" * 32)
+    work = begun_work(store, "e" * 32)
+    (work / name).write_text("{")
+    assert run(store, "--prune") == 1
+    said = capsys.readouterr().out
+    assert f"damaged: {work}" in said
+    assert ("with: the command" in said) == (name == "checkpoint.safetensors")
+    assert not other.exists()
     assert work.is_dir()
 
 

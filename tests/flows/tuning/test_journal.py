@@ -122,3 +122,23 @@ def test_the_remedy_keeps_the_trials_before_the_damage(home: Path, log: Path) ->
     assert [t.params for t in study(home, log).trials()[:2]] == first
     assert study(home, log).ended == 3
     assert [counted(log, f"finished-{key}") for key in keys] == [1, 1]  # not made again
+
+
+@pytest.mark.parametrize("what", ["another loss", "parameters that do not belong to its fit"])
+def test_a_number_that_was_not_written_is_named(home: Path, log: Path, what: str) -> None:
+    run(home, log, 3)
+    path = journal_path(home)
+    best = study(home, log).best()
+    assert best is not None
+    content = path.read_text()
+    if what == "another loss":
+        altered = content.replace(f'"values":[{best.value}]', '"values":[0.0]')
+    else:
+        altered = content.replace(
+            f'"param_value_internal":{best.params["x"]}', '"param_value_internal":0.5'
+        )
+    assert altered != content
+    path.write_text(altered)
+    with pytest.raises(PipelineError, match=what):
+        run(home, log, 3)
+    assert path.read_text().startswith(altered)
