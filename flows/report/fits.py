@@ -1,4 +1,4 @@
-"""Notes on models whose fit ended early."""
+"""Notes on models whose fit ended early or was in vain."""
 
 from collections.abc import Iterable
 
@@ -10,7 +10,7 @@ __all__ = ["fit_notes"]
 
 
 def fit_notes(done: Iterable[Node], store: ArtifactStore) -> list[str]:
-    """A sentence for every model whose loss was no longer finite at some update of its fit.
+    """Sentences on models whose loss was no longer finite at some update, or never fell.
 
     Args:
         done: Finished nodes of a sweep.
@@ -21,10 +21,17 @@ def fit_notes(done: Iterable[Node], store: ArtifactStore) -> list[str]:
         if node.component != "model_fitting":
             continue
         metrics = read_json(store.path(node.key) / "metrics.json")
-        ended_at = metrics.get("training/ended_at") if isinstance(metrics, dict) else None
-        if ended_at is not None:
+        if not isinstance(metrics, dict):
+            continue
+        model = f"{node.tags['model']} on {node.tags['dataset']}"
+        if (ended_at := metrics.get("training/ended_at")) is not None:
             notes.append(
-                f"{node.tags['model']} on {node.tags['dataset']}: its loss was no longer finite at "
-                f"update {ended_at}; its state of lowest held-out loss is used."
+                f"{model}: its loss was no longer finite at update {ended_at}; its state of lowest "
+                "held-out loss is used."
+            )
+        if (untrained := metrics.get("training/untrained_loss")) is not None:
+            notes.append(
+                f"{model}: the fit has learned nothing, as its held-out loss never fell below the "
+                f"{untrained:.3g} of the untrained networks; lower its learning rate."
             )
     return notes
