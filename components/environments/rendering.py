@@ -77,8 +77,8 @@ def drawing_library() -> str:
 
 
 def _otherwise(named: str) -> str:
-    others = (f"set it to {library}" for library in _LIBRARIES if library != named)
-    return f"unset it to use whatever works, or {' or '.join(others)}"
+    others = " or ".join(library for library in _LIBRARIES if library != named)
+    return f"unset it to use whatever works, or set it to {others}"
 
 
 def _works(library: str) -> bool:

@@ -24,7 +24,15 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
 from components.models.rescaling import read_in_scaling
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
+from components.models.supervised import (
+    SCHEDULES,
+    UNWATCHED,
+    Fit,
+    Monitor,
+    StackedFit,
+    ended_at,
+    nothing_learned,
+)
 from components.networks.variational import ConditionalVAE
 
 __all__ = ["ActionReconstruction", "ActionVAE", "ActionVAEConfig", "fit_action_vae"]
@@ -246,4 +254,5 @@ def fit_action_vae(
     loss, error, divergence = validate(fit.best).flatten().tolist()
     model = ActionVAE(fit.best.cpu().requires_grad_(False), scaling, data.history, config.hidden)
     metrics = {"validation_reconstruction_error": error, "validation_divergence": divergence}
+    metrics |= nothing_learned(fit.best_loss, fit.untrained_loss)
     return Fit(model, loss, metrics, curves.of_lane(0), ended)

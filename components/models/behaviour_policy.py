@@ -16,7 +16,15 @@ from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
+from components.models.supervised import (
+    SCHEDULES,
+    UNWATCHED,
+    Fit,
+    Monitor,
+    StackedFit,
+    ended_at,
+    nothing_learned,
+)
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import Curves
@@ -131,7 +139,10 @@ def fit_behaviour_policies(
         )
         whole = Policy.of_networks(card, {"actor": fitting.best.affine()}, data.frame_scaling)
         policies.append(whole.lane(lane, card))
-    metrics = [{"validation_mse": float(loss)} for loss in fitting.best_loss]
+    metrics = [
+        {"validation_mse": float(best)} | nothing_learned(best, untrained)
+        for best, untrained in zip(fitting.best_loss, fitting.untrained_loss, strict=True)
+    ]
     return policies, metrics, curves
 
 

@@ -26,7 +26,15 @@ from components.core.tensors import load_tensors, save_tensors
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.splits import split_episodes
-from components.models.supervised import SCHEDULES, UNWATCHED, Fit, Monitor, StackedFit, ended_at
+from components.models.supervised import (
+    SCHEDULES,
+    UNWATCHED,
+    Fit,
+    Monitor,
+    StackedFit,
+    ended_at,
+    nothing_learned,
+)
 from components.networks import TanhGaussian
 from components.networks.gaussian import LOG_STD_RANGE, log_density, raw_actions
 from components.policies.policy import Policy, PolicyCard
@@ -217,6 +225,6 @@ def fit_gaussian_behaviour(
     metrics = {
         "validation_nll": float(fitting.best_loss),
         "validation_spread": float(torch.cat(parts, dim=1).mean()),
-    }
+    } | nothing_learned(fitting.best_loss, fitting.untrained_loss)
     behaviour = GaussianBehaviour(policy, (weight, bias))
     return Fit(behaviour, metrics["validation_nll"], metrics, curves.of_lane(0), ended)

@@ -5,7 +5,8 @@ at once (datasets, ensemble members), keeps for every lane the weights of its lo
 and stops when no lane has improved for a while. Interrupted fits continue to the same numbers.
 
 Only finite weights of a finite loss are kept. A fit whose loss is infinite or undefined from some
-update on has the best state before that, and says so; one that never had any has diverged.
+update on has the best state before that, and says so; one that never had any has diverged. A fit
+whose best state is no better than the untrained network says that, too.
 """
 
 import copy
@@ -40,6 +41,7 @@ __all__ = [
     "StackedFit",
     "ended_at",
     "improved",
+    "nothing_learned",
 ]
 
 Series = tuple[Sequence[int], Sequence[float]]
@@ -128,6 +130,18 @@ def ended_at(curves: Curves, best_loss: Tensor, lanes: slice = slice(None)) -> i
     return min((end for end in ends if end is not None), default=None)
 
 
+def nothing_learned(best_loss: Tensor, untrained_loss: Tensor) -> dict[str, float]:
+    """The metric `training/untrained_loss` of a fit of which a lane never got below it, else none.
+
+    Args:
+        best_loss: Lowest held-out losses ``[L]``.
+        untrained_loss: Held-out losses before the first update ``[L]``.
+    """
+    if bool((best_loss >= untrained_loss).any()):
+        return {"training/untrained_loss": float(untrained_loss.mean())}
+    return {}
+
+
 class StackedFit(Generic[N]):
     """Trains a stack of networks and keeps the weights of lowest held-out loss, lane by lane.
 
@@ -157,6 +171,7 @@ class StackedFit(Generic[N]):
         self.best = copy.deepcopy(network)
         device = next(network.parameters()).device
         self.best_loss = torch.full((lanes,), math.inf, device=device)
+        self.untrained_loss = torch.full_like(self.best_loss, math.inf)
         self.stale = torch.zeros(lanes, device=device)  # validations since a lane's best
         self._loss, self._streams = loss, streams
         self._learning_rate, self._falls, self._updates = learning_rate, schedule == "cosine", 1
@@ -193,6 +208,8 @@ class StackedFit(Generic[N]):
             The learning curves.
         """
         self._updates = updates
+        with torch.no_grad():  # before a checkpoint replaces the weights
+            self.untrained_loss = validate(self.network)
 
         def after(done: int, curves: Curves) -> bool:
             if done % validate_every and done != updates:

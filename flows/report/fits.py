@@ -1,4 +1,4 @@
-"""Notes on models whose fit ended early."""
+"""Notes on models whose fit ended early or was in vain."""
 
 from collections.abc import Iterable
 
@@ -9,7 +9,7 @@ __all__ = ["fit_notes"]
 
 
 def fit_notes(done: Iterable[Node], store: ArtifactStore) -> list[str]:
-    """A sentence for every model whose loss was no longer finite at some update of its fit.
+    """Sentences on models whose loss was no longer finite at some update, or never fell.
 
     Args:
         done: Finished nodes of a sweep.
@@ -22,10 +22,16 @@ def fit_notes(done: Iterable[Node], store: ArtifactStore) -> list[str]:
     for node in done:
         if node.component != "model_fitting":
             continue
-        ended_at = store.read_json(node.key, "metrics.json").get("training/ended_at")
-        if ended_at is not None:
+        metrics = store.read_json(node.key, "metrics.json")
+        model = f"{node.tags['model']} on {node.tags['dataset']}"
+        if (ended_at := metrics.get("training/ended_at")) is not None:
             notes.append(
-                f"{node.tags['model']} on {node.tags['dataset']}: its loss was no longer finite at "
-                f"update {ended_at}; its state of lowest held-out loss is used."
+                f"{model}: its loss was no longer finite at update {ended_at}; its state of lowest "
+                "held-out loss is used."
+            )
+        if (untrained := metrics.get("training/untrained_loss")) is not None:
+            notes.append(
+                f"{model}: the fit has learned nothing, as its held-out loss never fell below the "
+                f"{untrained:.3g} of the untrained networks; lower its learning rate."
             )
     return notes

@@ -195,7 +195,10 @@ def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
     plan, store = benchmark_plan(load_settings(words)), ArtifactStore(tmp_path)
     for node in plan:
         if node.component == "model_fitting":
-            ended = {"training/ended_at": 120} if node.config["model"] == "behaviour_policy" else {}
+            ended = {
+                "behaviour_policy": {"training/ended_at": 120},
+                "recurrent_ensemble": {"training/untrained_loss": 0.31234},
+            }[node.config["model"]]
             finish(store, node, {"metrics.json": {"validation_loss": 0.5} | ended})
         if node.component == "aggregation":
             point = {"lambda": 0.0, "policies": 1, "distance": None, **POINT, "mean": None}
@@ -203,14 +206,18 @@ def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
             summary |= {"points": [point], "undefined": {"0": 2}}
             finish(store, node, {"summary.json": summary})
     written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
-    model, returns = written.notes
+    model, learned, returns = written.notes
     assert model == (
         "behaviour_policy on mediocre-0.2: its loss was no longer finite at update 120; its state "
         "of lowest held-out loss is used."
     )
+    assert learned == (
+        "recurrent_ensemble on mediocre-0.2: the fit has learned nothing, as its held-out loss "
+        "never fell below the 0.312 of the untrained networks; lower its learning rate."
+    )
     assert returns.startswith("lion on mediocre-0.2, seed 0: 2 of its pooled returns and distances")
     text = (tmp_path / "reports" / "sweep" / "results.md").read_text()
-    assert f"- {model}\n- {returns}" in text
+    assert f"- {model}\n- {learned}\n- {returns}" in text
     assert "not finite" in text
     assert f"Note: {model}" in written.lines()
     [shown] = open_report(tmp_path, "sweep").summaries

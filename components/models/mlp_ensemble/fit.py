@@ -37,7 +37,14 @@ from components.data.dynamics import DynamicsSpecification, model_frames
 from components.data.splits import split_episodes
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 from components.models.mlp_ensemble.ensemble import ACTIVATIONS, MLPEnsemble, bounded_log_variance
-from components.models.supervised import UNWATCHED, Fit, Monitor, StackedFit, ended_at
+from components.models.supervised import (
+    UNWATCHED,
+    Fit,
+    Monitor,
+    StackedFit,
+    ended_at,
+    nothing_learned,
+)
 from components.networks import StackedMLP, lanewise_mean
 from components.networks.weight_norm import WeightNormMLP
 
@@ -247,6 +254,7 @@ def fit_mlp_ensemble(
     of_targets = zip(data.names, own.mean(dim=0), strict=True)
     metrics |= {f"validation_mse/{target}": float(error) for target, error in of_targets}
     metrics |= {f"validation_mse/member{k}": float(e) for k, e in enumerate(own.mean(dim=1))}
+    metrics |= nothing_learned(fitting.best_loss[lanes], fitting.untrained_loss[lanes])
     if config.gaussian:
         metrics["validation_nll"] = float(nll[lanes].mean())
     by_member = {

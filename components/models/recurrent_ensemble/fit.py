@@ -35,7 +35,14 @@ from components.models.recurrent_ensemble.ensemble import (
     predict_windows,
 )
 from components.models.recurrent_ensemble.windows import TrainingWindows
-from components.models.supervised import UNWATCHED, Fit, Monitor, ended_at, improved
+from components.models.supervised import (
+    UNWATCHED,
+    Fit,
+    Monitor,
+    ended_at,
+    improved,
+    nothing_learned,
+)
 from components.training.cuda_graphs import graphed
 from components.training.loop import Curves, Schedule, TrainingLoop, adam
 from components.training.state import (
@@ -209,6 +216,7 @@ def fit_recurrent_ensemble(
         monitor.validated(done / config.updates, float(losses.mean()))
         return bool((learner.stale >= config.patience).all())
 
+    untrained = learner.validation_loss(learner.weight, learner.readout, stride).mean(dim=1)
     loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
     curves = loop.run(graphed(learner, device), validate)
     ended = ended_at(curves, learner.best_loss)
@@ -219,6 +227,7 @@ def fit_recurrent_ensemble(
         f"validation_mse/{name}": float(loss)
         for name, loss in (*of_networks, *zip(windows.names, of_features, strict=True))
     }
+    metrics |= nothing_learned(learner.best_loss, untrained)
     ensemble = RecurrentEnsemble(
         weight=learner.best_weight.cpu(),
         readout=windows.in_units(learner.best_readout).cpu(),

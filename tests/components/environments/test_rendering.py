@@ -105,7 +105,7 @@ def test_the_first_library_that_works_draws(monkeypatch: pytest.MonkeyPatch) -> 
         (
             "junk",
             "MUJOCO_GL=junk cannot draw without a screen, as egl and osmesa do; unset it to use "
-            "whatever works, or set it to egl or set it to osmesa.",
+            "whatever works, or set it to egl or osmesa.",
         ),
         ("glfw", "MUJOCO_GL=glfw cannot draw without a screen, as egl and osmesa do; unset it"),
         ("wgl", "MUJOCO_GL=wgl cannot draw without a screen, as egl and osmesa do; unset it"),

@@ -50,7 +50,9 @@ def test_every_kind_is_here() -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_a_rate_far_out_of_range(model: str, tmp_path: Path) -> None:
     if model == "behaviour_policy":  # its tanh saturates: a bad policy, and a finite one
-        assert_finite(fit(model, LOG, learning_rate=1e30), tmp_path)
+        saturated = fit(model, LOG, learning_rate=1e30)
+        assert_finite(saturated, tmp_path)
+        assert saturated.validation_loss > saturated.metrics["training/untrained_loss"]
     deeper = {"hidden": (8, 8, 8)} if model == "behaviour_policy" else {}
     with pytest.raises(DivergedError, match=r"^its held-out loss was never finite$"):
         fit(model, LOG, learning_rate=1e30, **deeper)
@@ -60,7 +62,14 @@ def test_a_rate_far_out_of_range(model: str, tmp_path: Path) -> None:
 def test_a_fit_that_stays_finite_says_nothing(model: str, tmp_path: Path) -> None:
     fitted = fit(model, LOG)
     assert fitted.ended_at is None
+    assert "training/untrained_loss" not in fitted.metrics
     assert_finite(fitted, tmp_path)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_rate_of_nearly_nothing_learns_nothing(model: str) -> None:
+    metrics = fit(model, LOG, learning_rate=1e-30).metrics
+    assert metrics["training/untrained_loss"] > 0
 
 
 @pytest.mark.parametrize("model", MODELS)

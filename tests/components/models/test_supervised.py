@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams, normal_draw
 from components.models import supervised
-from components.models.supervised import Monitor, StackedFit, ended_at
+from components.models.supervised import Monitor, StackedFit, ended_at, nothing_learned
 from components.training.divergence import DivergedError
 from components.training.loop import Curves
 from tests.components.interruption import killed_at, lanes, save_always
@@ -41,15 +41,15 @@ def fitting(*names: object, **options: Any) -> StackedFit[Points]:
 
 
 def losses_by_turn(*turns: list[float]) -> Any:
-    """A validation that returns these, whatever the network."""
-    told = iter(turns)
+    """A validation that returns these after an infinite loss at the start, whatever the network."""
+    told = iter([[math.inf] * len(turns[0]), *turns])
     return lambda network: torch.tensor(next(told))
 
 
 def test_every_lane_keeps_the_state_of_its_lowest_loss() -> None:
     found = fitting("a", "b", "c")
     states: list[Tensor] = []
-    turns = iter([[5.0, 1.0, 3.0], [4.0, 2.0, 3.0], [4.5, 0.5, math.nan]])
+    turns = iter([[0.0] * 3, [5.0, 1.0, 3.0], [4.0, 2.0, 3.0], [4.5, 0.5, math.nan]])
 
     def validate(network: Points) -> Tensor:
         states.append(network.place.detach().clone())
@@ -58,10 +58,10 @@ def test_every_lane_keeps_the_state_of_its_lowest_loss() -> None:
     found.run(validate, "abc", updates=6, validate_every=2)
     best = found.best.place
     assert found.best_loss.tolist() == [4.0, 0.5, 3.0]
-    assert torch.equal(best[:2], states[1][:2])
-    assert torch.equal(best[2:4], states[2][2:4])
-    assert torch.equal(best[4:], states[0][4:]), "equal losses and undefined ones are not lower"
-    assert torch.equal(found.network.place, states[2])
+    assert torch.equal(best[:2], states[2][:2])
+    assert torch.equal(best[2:4], states[3][2:4])
+    assert torch.equal(best[4:], states[1][4:]), "equal losses and undefined ones are not lower"
+    assert torch.equal(found.network.place, states[3])
 
 
 def test_small_improvements_do_not_count_if_told_so() -> None:
@@ -132,7 +132,7 @@ def test_rates_by_hand(schedule: str) -> None:
         return network.place.view(1, 2, 3).sum(dim=(1, 2)), {}
 
     found = StackedFit(Points(1), 1, slope, streams, learning_rate=0.1, schedule=schedule)
-    places = [found.network.place.detach().clone()]
+    places: list[Tensor] = []
 
     def validate(network: Points) -> Tensor:
         places.append(network.place.detach().clone())
@@ -203,7 +203,9 @@ def test_interrupted_equals_uninterrupted(
 
 def test_only_finite_states_of_finite_loss_are_kept() -> None:
     found = fitting("a", "b", "c")
-    turns = iter([[math.nan, 3.0, -math.inf], [math.inf, 2.0, 5.0], [math.nan, 1.0, 4.0]])
+    turns = iter(
+        [[9.0] * 3, [math.nan, 3.0, -math.inf], [math.inf, 2.0, 5.0], [math.nan, 1.0, 4.0]]
+    )
     kept: list[Tensor] = []
 
     def validate(network: Points) -> Tensor:
@@ -215,8 +217,8 @@ def test_only_finite_states_of_finite_loss_are_kept() -> None:
 
     curves = found.run(validate, "abc", updates=3, validate_every=1)
     assert found.best_loss.tolist() == [math.inf, 2.0, 4.0]
-    assert torch.equal(found.best.place[2:4], kept[1][2:4])
-    assert torch.equal(found.best.place[4:], kept[2][4:])
+    assert torch.equal(found.best.place[2:4], kept[2][2:4])
+    assert torch.equal(found.best.place[4:], kept[3][4:])
     assert found.best.place.isfinite().all()
     with pytest.raises(DivergedError, match=r"^its held-out loss was never finite$"):
         ended_at(curves, found.best_loss)
@@ -228,3 +230,30 @@ def test_a_fit_that_stays_finite_has_no_end() -> None:
     found = fitting("a", "b")
     curves = found.run(losses_by_turn([2.0, 1.0], [1.0, 2.0]), "ab", updates=2, validate_every=1)
     assert ended_at(curves, found.best_loss) is None
+
+
+def test_a_fit_that_never_beats_the_untrained_network_has_learned_nothing(tmp_path: Path) -> None:
+    found, losses = fitting("a", "b"), torch.tensor([4.0, 9.0])
+    found.run(lambda _: losses, "ab", updates=2, validate_every=1, checkpoint=tmp_path / "c")
+    assert nothing_learned(found.best_loss, found.untrained_loss) == {
+        "training/untrained_loss": 6.5
+    }
+    assert nothing_learned(torch.tensor([3.9, 8.9]), found.untrained_loss) == {}
+    assert nothing_learned(torch.tensor([3.9]), torch.tensor([math.nan])) == {}
+
+
+def test_the_untrained_network_is_that_before_the_checkpoint(tmp_path: Path) -> None:
+    def run() -> StackedFit[Points]:
+        found = fitting("a", learning_rate=1.0)
+        found.run(
+            lambda network: network.place.square().sum()[None],
+            "a",
+            updates=3,
+            validate_every=1,
+            checkpoint=tmp_path / "c",
+        )
+        return found
+
+    first, again = run(), run()
+    assert first.untrained_loss.tolist() == again.untrained_loss.tolist() == [3.0]
+    assert again.best_loss.item() != 3.0
