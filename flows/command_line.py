@@ -235,9 +235,9 @@ def run_sweep(
     files: Sequence[Path] = ()
     metrics: Metrics = {}
     with store_in_use(store):
-        tracker.open(name, tags, params, plan)
-        SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
         try:
+            tracker.open(name, tags, params, plan)
+            SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
             outcome = run_plan(
                 plan, store, tracker, display, executor=executor, command=command, repairs=repairs
             )

@@ -89,7 +89,11 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
         yield temporary
         if durable:
             sync(temporary)
-        os.replace(temporary, path)
+        try:
+            os.replace(temporary, path)
+        except IsADirectoryError:
+            said = "A folder lies where a file is to be written; move it away"
+            raise IsADirectoryError(errno.EISDIR, said, str(path)) from None
         if durable:
             sync(path.parent, below=False)
 

@@ -60,7 +60,8 @@ def damaged_path(error: BaseException) -> Path | None:
     """The file that an error calls damaged or missing; None if the error is about no such thing."""
     if isinstance(error, DamagedFileError):
         return error.path
-    if isinstance(error, FileNotFoundError | NotADirectoryError) and error.filename is not None:
+    misplaced = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+    if isinstance(error, misplaced) and error.filename is not None:
         return Path(os.fsdecode(error.filename))
     return None
 

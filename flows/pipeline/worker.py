@@ -177,7 +177,8 @@ def _compute(
         path = damaged_path(error)
         if path is None:
             raise
-        sentence = error.sentence if isinstance(error, DamagedFileError) else f"{path} is missing"
+        kind = "a folder" if isinstance(error, IsADirectoryError) else "missing"
+        sentence = error.sentence if isinstance(error, DamagedFileError) else f"{path} is {kind}"
         source = store.key_of(path)
         if source in content:
             result.damaged[source] = sentence

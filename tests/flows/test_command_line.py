@@ -11,6 +11,7 @@ from flows import full_benchmark
 from flows.command_line import check_store, main
 from flows.configuration.checking import SettingsError
 from flows.configuration.settings import load_settings
+from flows.pipeline.json_lines import read_lines
 from flows.pipeline.schedule import Group
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
@@ -83,6 +84,19 @@ def test_what_cannot_work_is_said_by_the_dry_run(
     [line] = capsys.readouterr().err.splitlines()
     assert says in line
     assert line.endswith(".")
+
+
+def test_a_sweep_that_cannot_begin_ends_in_the_tracker_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "sweeps" / "mine.json"
+    record.mkdir(parents=True)
+    words = ["profile=smoke", "algorithms=[bc]", "runner.executor=serial", "runner.tracker=file"]
+    assert door([*words, f"store={tmp_path}", "sweep=mine"], monkeypatch) == 1
+    assert f"move it away: '{record}'" in capsys.readouterr().err
+    events = read_lines(tmp_path / "tracking" / "mine.jsonl")
+    assert [event["event"] for event in events] == ["open", "close"]
+    assert events[-1]["status"] == "FAILED"
 
 
 def test_a_run_of_years_can_be_wanted(

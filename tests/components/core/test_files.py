@@ -54,6 +54,13 @@ def test_what_fails_leaves_the_former_file_alone(tmp_path: Path) -> None:
     assert names(tmp_path) == ["value.json"]
 
 
+def test_a_file_does_not_take_the_place_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "value.json").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"move it away: '.*/value.json'"):
+        write_json(tmp_path / "value.json", 1)
+    assert names(tmp_path) == ["value.json"]
+
+
 def test_a_folder_takes_the_place_of_an_empty_one_but_not_of_a_used_one(tmp_path: Path) -> None:
     def write(content: str) -> None:
         with replacing(tmp_path / "folder") as temporary:

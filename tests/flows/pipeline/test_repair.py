@@ -308,6 +308,20 @@ def test_work_that_cannot_be_continued_is_begun_anew(
     assert list(store.work.iterdir()) == []
 
 
+def test_a_folder_in_the_place_of_a_checkpoint_is_begun_anew(
+    store: ArtifactStore, log: Path
+) -> None:
+    one = node("checked_steps", "s", log, number=1, steps=6, hold=3)
+    assert run([one], store).exit_code == 1
+    (work,) = store.work.iterdir()
+    (work / "checkpoint.safetensors").unlink()
+    (work / "checkpoint.safetensors" / "mine").mkdir(parents=True)
+    (log / "go").touch()
+    screen = Screen()
+    assert run([one], store, screen).exit_code == 0
+    assert "checkpoint.safetensors is a folder: " in screen.text
+
+
 @pytest.mark.parametrize("content", [None, "{", "[]", '{"members": 3, "serves": []}', "{}"])
 def test_a_work_folder_without_its_members_does_not_stay(
     store: ArtifactStore, log: Path, content: str | None
