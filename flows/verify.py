@@ -57,8 +57,10 @@ def load_verify_settings(words: Sequence[str]) -> VerifySettings:
     fields: dict[str, str] = {}
     for word in words:
         key, equals, value = word.removeprefix("--").partition("=")
-        if not equals and not word.startswith("--"):
+        if not equals and word not in ("--prune", "--seal"):
             raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. prune=true.")
+        if key == "store" and not value:
+            raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
         if key in fields:
             raise SettingsError(f"{key} is given twice; give it once.")
         fields[key] = value if equals else "true"

@@ -23,6 +23,7 @@ _BETWEEN = 15.0  # least seconds between two lines about one component in a log
 _DAY = 24 * 3600.0
 _LONG = 3 * _DAY  # from which on a time span is told in days
 _SIGN_OF_LIFE = 60.0  # seconds after which a running component is logged without a change
+_WIDTH = 80  # columns that a file or a pipe has at least, whatever COLUMNS says
 
 
 def duration(seconds: float) -> str:
@@ -44,6 +45,8 @@ class Display:
     def __init__(self, console: Console | None = None) -> None:
         """Takes the console to write to; stderr by default."""
         self.console = console or Console(stderr=True, highlight=False)
+        if self.console.width < (1 if self.console.is_terminal else _WIDTH):
+            self.console.width = _WIDTH  # COLUMNS=0 would leave nothing of a plan
         self._live: Live | None = None
         self._shown: dict[str, tuple[int, ...]] = {}
         self._last: dict[str, float] = {}

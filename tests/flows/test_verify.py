@@ -345,7 +345,9 @@ def test_freed_bytes_counts_a_file_with_a_second_name_elsewhere_as_nothing(tmp_p
         (["prune"], "'prune' is not a setting; write key=value"),
         (["--prune", "prune=false"], "prune is given twice"),
         (["days=-1"], "days"),
-        (["--purge"], "purge"),
+        (["--purge"], "'--purge' is not a setting; write key=value"),
+        (["--store"], "'--store' is not a setting; write key=value"),
+        (["store="], "store= is empty; name a folder"),
     ],
 )
 def test_bad_words(words: list[str], said: str, store: ArtifactStore) -> None:

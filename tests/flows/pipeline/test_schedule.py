@@ -195,3 +195,14 @@ def test_running_work_is_logged_once_a_minute_without_a_change(
         screen.file.getvalue().splitlines()
         == ["policy training: 0/4 25% (4 running), 1 min 30 s left"] * 3
     )  # at 0, 60 and 120 seconds
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_plan_is_readable_without_columns(
+    terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "0")
+    assert Display(Console(file=io.StringIO(), force_terminal=terminal)).console.width == 80
+    monkeypatch.setenv("COLUMNS", "40")
+    console = Display(Console(file=io.StringIO(), force_terminal=terminal)).console
+    assert console.width == (40 if terminal else 80)
