@@ -57,16 +57,16 @@ format: $(READY) ## Put the code into the common format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(READY) ## Measure speed beside its peers
-	$(BIN)/python -m benchmarks
+bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
+	$(BIN)/python -m benchmarks.run
 
 $(PEERS)/.ready: benchmarks/peer-constraints.txt
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  --constraint benchmarks/peer-constraints.txt torch d3rlpy
+	  --constraint benchmarks/peer-constraints.txt torch d3rlpy jax optax
 	@touch $@
 
-peers: $(PEERS)/.ready ## Install d3rlpy beside this project, for the speed comparison
+peers: $(PEERS)/.ready ## Install d3rlpy and JAX beside this project, for the speed comparison
 
 ui: $(READY) ## Open the MLflow UI on this project's runs, at http://127.0.0.1:5000
 	$(BIN)/python -m flows.ui

@@ -1,4 +1,4 @@
-"""All speed measurements, one after the other: ``python -m benchmarks``, or ``make bench``."""
+"""Tables of speed, one after the other: ``python -m benchmarks``."""
 
 from benchmarks import (
     ensemble_quality,

@@ -86,7 +86,7 @@ def missing(peer: Path = PEER) -> str:
 
 
 def write_transitions(dataset: OfflineDataset, epsilon: float, path: Path) -> None:
-    """Store transitions as d3rlpy wants them, every observation a whole normalised history.
+    """Store transitions as the peers want them, every observation a whole normalised history.
 
     Args:
         dataset: What to store.
@@ -100,6 +100,7 @@ def write_transitions(dataset: OfflineDataset, epsilon: float, path: Path) -> No
         observations=data.observations(every)[0].numpy(),
         actions=dataset.actions,
         rewards=dataset.rewards,
+        next_observations=data.batch(every).next_observations[0].numpy(),
         terminals=dataset.terminated,
         ends=dataset.terminated | dataset.truncated,
     )

@@ -12,6 +12,7 @@ of the standard output is the answer as JSON: seconds, updates and versions.
 
 import argparse
 import json
+import statistics
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -169,6 +170,7 @@ def main() -> None:
     parser.add_argument("settings", type=json.loads, help="JSON: algorithm and its settings")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--updates", type=int, default=100)
+    parser.add_argument("--repetitions", type=int, default=1, help="timings, of as many updates")
     parser.add_argument("--warm-up", type=int, default=10, help="updates that do not count")
     options = parser.parse_args()
     import d3rlpy
@@ -178,8 +180,10 @@ def main() -> None:
     buffer = _replay_buffer(options.data)
     learner = _learner(options.settings, buffer)
     _seconds(learner, buffer, options.warm_up)
+    timings = [_seconds(learner, buffer, options.updates) for _ in range(options.repetitions)]
     answer = {
-        "seconds": _seconds(learner, buffer, options.updates),
+        "seconds": statistics.median(timings),
+        "timings": timings,
         "updates": options.updates,
         "program": f"d3rlpy {d3rlpy.__version__}",
         "torch": torch.__version__,

@@ -29,7 +29,7 @@ from flows.pipeline.task import Job, TaskContext
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import NullTracker, Tracker
 
-__all__ = ["empty", "empty_plan", "report"]
+__all__ = ["empty", "empty_plan", "report", "seconds_per_plan"]
 
 
 def empty(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -72,12 +72,12 @@ def _run(plan: Plan, store: ArtifactStore, tracker: Tracker) -> None:
         raise RuntimeError(f"An empty plan did not finish: {outcome}.")
 
 
-def report(nodes: int = 40, repetitions: int = 3) -> str:
-    """Measure with and without MLflow; a Markdown table.
+def seconds_per_plan(nodes: int, repetitions: int) -> dict[str, float]:
+    """Median seconds of a plan of empty nodes, computed without and with MLflow, and found.
 
     Args:
         nodes: Per plan, an even number.
-        repetitions: Timings per row, the median counts.
+        repetitions: Timings each.
 
     Raises:
         RuntimeError: A node failed.
@@ -99,6 +99,20 @@ def report(nodes: int = 40, repetitions: int = 3) -> str:
         }
         seconds = median_seconds(runs, repetitions)
         tracker.close("FINISHED")
+    return seconds
+
+
+def report(nodes: int = 40, repetitions: int = 3) -> str:
+    """Measure with and without MLflow; a Markdown table.
+
+    Args:
+        nodes: Per plan, an even number.
+        repetitions: Timings per row, the median counts.
+
+    Raises:
+        RuntimeError: A node failed.
+    """
+    seconds = seconds_per_plan(nodes, repetitions)
     rows = [[name, f"{1e3 * value / nodes:,.1f}"] for name, value in seconds.items()]
     return markdown(["empty node", "ms per node"], rows)
 

@@ -1,0 +1,329 @@
+"""The hot paths beside learners: environments, fits, evaluation, loading, pipeline, start-up."""
+
+import itertools
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+
+from benchmarks import environment, pipeline, recurrent, robots, wsbc
+from benchmarks.floors import Work, operations
+from benchmarks.lanes import UNTRAINED
+from benchmarks.records import Row, row_of_seconds
+from benchmarks.scalar_industrial_benchmark import TunedScalarIndustrialBenchmark
+from benchmarks.settings import Settings
+from components.algorithms.parts.learner import start_rows
+from components.algorithms.wsbc import Config as SwarmConfig
+from components.core.random_streams import lane_generator, lane_key
+from components.data.batches import LaneData
+from components.data.dataset import OfflineDataset
+from components.data.dynamics import DynamicsSpecification
+from components.environments.mujoco.specifications import ROBOTS, load_model
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import evaluate_policies
+from components.models import MODELS
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
+from components.models.supervised import UNWATCHED
+from components.networks import StackedMLP
+from components.policies.policy import Policy
+
+__all__ = [
+    "dataset_load",
+    "evaluation",
+    "fit",
+    "industrial",
+    "node_overhead",
+    "recurrent_pass",
+    "robot_rollouts",
+    "start_up",
+    "swarm_peer",
+]
+
+_ROOT = Path(__file__).resolve().parents[1]
+_PASSES = 100  # updates of the recurrent ensemble's fit
+
+
+def _draws(copies: int, steps: int) -> Callable[[], None]:
+    """The six numbers a step of a copy needs, drawn by NumPy's fastest generator and not used."""
+    rng = np.random.Generator(np.random.SFC64(0))
+    out = np.empty((steps, 2, copies))
+
+    def run() -> None:
+        rng.standard_exponential(out=out)
+        rng.random(out=out)
+        rng.standard_normal(out=out)
+
+    return run
+
+
+def industrial(settings: Settings) -> Iterator[Row]:
+    """Steps of the Industrial Benchmark, beside a scalar loop tuned with `math`."""
+    unit, measure = "Industrial Benchmark", "steps/s"
+    for copies in (1, 100) if settings.quick else (1, 100, 1000, 10_000):
+        run, name = environment.vectorised(copies), f"{copies:,} copies"
+        steps = run()
+        draw = min(settings.timings(_draws(copies, steps // copies)))
+        bound = "its draws alone, one core"
+        timings = settings.timings(run)
+        yield row_of_seconds(
+            unit, name, timings, amount=steps, measure=measure, floor=draw, bound=bound
+        )
+    loop = environment.scalar_loop(TunedScalarIndustrialBenchmark)
+    steps = loop()
+    timings = settings.timings(loop)
+    yield row_of_seconds(
+        unit, "1 copies", timings, amount=steps, measure=measure, peer="tuned scalar loop"
+    )
+    yield row_of_seconds(
+        unit,
+        "100 copies" if settings.quick else "1,000 copies",
+        timings,
+        amount=steps,
+        measure=measure,
+        peer="tuned scalar loop",
+        note="one copy at a time",
+    )
+
+
+def _physics(robot: str) -> Callable[[], int]:
+    """MuJoCo's own steps with nothing around them; their number in environment steps."""
+    model = load_model(ROBOTS[robot], "v3")
+    data, controls = mujoco.MjData(model), lane_generator(0).uniform(-1.0, 1.0, (100, model.nu))
+
+    def run() -> int:
+        mujoco.mj_resetData(model, data)
+        for control in controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, ROBOTS[robot].substeps)
+        return len(controls)
+
+    return run
+
+
+def robot_rollouts(settings: Settings) -> Iterator[Row]:
+    """Evaluations on the robots, beside a Python loop over one Gymnasium environment."""
+    copies, episodes = (3, 1) if settings.quick else (1000, 5)
+    for robot, record in itertools.islice(ROBOTS.items(), 1 if settings.quick else None):
+        physics = _physics(robot)
+        steps = physics()
+        alone = min(settings.timings(physics)) / steps
+        protocol = EvaluationProtocol(trajectories=copies)
+        policy = robots.untrained_policy(record.id)
+        count = robots._steps(policy, record.id, protocol)
+        ours = partial(robots.evaluated, policy, record.id, protocol, settings.threads)
+        yield row_of_seconds(
+            "MuJoCo roll-outs",
+            f"{robot}, {copies} copies",
+            settings.timings(ours, warm=True),
+            amount=count,
+            measure="steps/s",
+            floor=alone * count / settings.threads,
+            bound=f"MuJoCo's steps alone, {settings.threads} thread(s)",
+        )
+        plain = partial(robots.plain_returns, policy, record.id, episodes, protocol)
+        _, steps = plain()
+        yield row_of_seconds(
+            "MuJoCo roll-outs",
+            f"{robot}, {copies} copies",
+            settings.timings(plain, warm=True),
+            amount=steps,
+            measure="steps/s",
+            peer="loop over one Gymnasium environment",
+        )
+
+
+def fit(kind: str, settings: Settings) -> Iterator[Row]:
+    """A short fit of a supervised model at its default sizes."""
+    dataset, model = settings.dataset(), MODELS[kind]
+    if kind == "recurrent_ensemble":
+        passes = 1 if settings.quick else _PASSES
+        config, name = model.config(updates=passes, validate_every=passes), f"{passes} updates"
+    else:
+        config, name = model.config(epochs=1), "an epoch"
+
+    def run(device: torch.device = settings.place) -> None:
+        key = lane_key(dataset.card.name, kind, 0)
+        model.fit(dataset, config, key, device, None, UNWATCHED)
+
+    work = Work(operations(lambda: run(torch.device("cpu"))))
+    floor, bound = work.floor(settings.limits)
+    yield row_of_seconds(
+        "fits of supervised models",
+        f"{kind}, {name} of {dataset.transitions:,} transitions",
+        settings.timings(run, warm=not settings.on_a_gpu),
+        floor=floor,
+        bound=bound,
+        note="with its validation",
+    )
+
+
+def recurrent_pass(settings: Settings) -> Iterator[Row]:
+    """A training pass of the recurrent ensemble, beside a plain loop over networks and steps."""
+    sizes = RecurrentEnsembleConfig()
+    if settings.quick:
+        sizes = RecurrentEnsembleConfig(members=2, hidden=5, warm_up=4, horizon=6, batch=7)
+    cpu = torch.device("cpu")
+    weight, readout, windows, targets = recurrent.random_problem(sizes, settings.place)
+    networks = recurrent.plain_networks(weight, readout)
+    batch_major = [part.transpose(1, 2).contiguous() for part in windows.unbind(dim=1)]
+    problem = [part.to(cpu) for part in (weight, readout, windows, targets)]
+    for part in (*problem[:2], weight, readout):
+        part.requires_grad_()
+    floor, bound = Work(operations(lambda: recurrent.stacked_pass(*problem, sizes))).floor(
+        settings.limits
+    )
+    unit = "recurrent ensemble, a training pass"
+    name = f"{len(networks)} networks, {sizes.batch} windows"
+    ours = partial(recurrent.stacked_pass, weight, readout, windows, targets, sizes)
+    yield row_of_seconds(unit, name, settings.timings(ours), measure="ms", floor=floor, bound=bound)
+    plain = partial(recurrent.plain_pass, networks, batch_major, targets, sizes.warm_up)
+    yield row_of_seconds(
+        unit, name, settings.timings(plain), measure="ms", peer="plain PyTorch loop"
+    )
+
+
+def swarm_peer(settings: Settings) -> Iterator[Row]:
+    """WSBC's iteration one particle at a time; ours is in the rows of the learner."""
+    dataset, config = settings.dataset(), SwarmConfig()
+    if settings.quick:
+        config = replace(config, starts=4, horizon=5)
+    policy = UNTRAINED["behaviour_policy"](dataset)
+    ensemble = UNTRAINED["recurrent_ensemble"](dataset)
+    rows = start_rows(dataset, config.start_window)[: config.starts]
+    data = LaneData([dataset], settings.place)
+    [start] = data.raw_histories(torch.from_numpy(rows).to(settings.place)[None])
+    rule = DynamicsSpecification.of_card(dataset.card)
+    arguments = policy, ensemble, rule, start, config.horizon, config.discount
+    timings = settings.timings(lambda: wsbc.plain_return(*arguments))
+    yield row_of_seconds(
+        "learner wsbc",
+        "wsbc, 1 lane(s)",
+        [config.particles * seconds for seconds in timings],
+        amount=1.0,
+        measure="seed-updates/s",
+        peer="plain PyTorch loop",
+        note=f"one particle timed, times {config.particles}",
+    )
+
+
+def evaluation(settings: Settings) -> Iterator[Row]:
+    """Evaluation of 100 snapshots of a plain policy on the Industrial Benchmark."""
+    dataset, count = settings.dataset(), 3 if settings.quick else 100
+    card = dataset.card
+    behaviour = UNTRAINED["behaviour_policy"](dataset)
+    widths = (card.history * dataset.frames.shape[1], 256, 256, dataset.actions.shape[1])
+    network = StackedMLP([lane_generator(i) for i in range(count)], widths)
+    shape = replace(behaviour.card, steps=tuple(range(count)))
+    policy = Policy.of_networks(
+        shape,
+        {"actor": network.affine()},
+        LaneData([dataset] * count, settings.place).frame_scaling,
+    )
+    behaviours = Policy.concatenate(behaviour.card, [behaviour] * count)
+    protocol = EvaluationProtocol()
+
+    def run(device: torch.device = settings.place) -> None:
+        evaluate_policies(
+            [policy],
+            [behaviours],
+            card.environment,
+            card.environment_parameters,
+            protocol,
+            card.discount,
+            [0],
+            device,
+            threads=settings.threads,
+        )
+
+    floor, bound = Work(operations(lambda: run(torch.device("cpu")))).floor(settings.limits)
+    states = protocol.trajectories * protocol.horizon
+    yield row_of_seconds(
+        "evaluation",
+        f"{count} snapshots, {states:,} states each",
+        settings.timings(run, warm=True),
+        floor=floor,
+        bound=bound,
+        note="actor 256-256",
+    )
+
+
+def dataset_load(settings: Settings) -> Iterator[Row]:
+    """Opening a stored dataset and making its tables, beside reading its files."""
+    dataset = settings.dataset()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "dataset"
+        dataset.write(place)
+        files = [path for path in place.rglob("*") if path.is_file()]
+        floor = min(settings.timings(lambda: [path.read_bytes() for path in files]))
+        name = f"{dataset.transitions:,} transitions, warm file cache"
+        for what, run in (
+            ("opened", lambda: OfflineDataset.open(place)),
+            (
+                "opened, tables on the device",
+                lambda: LaneData([OfflineDataset.open(place)], settings.place),
+            ),
+        ):
+            yield row_of_seconds(
+                "dataset load",
+                f"{what}: {name}",
+                settings.timings(run),
+                measure="ms",
+                floor=floor,
+                bound="reading its files",
+            )
+
+
+def node_overhead(settings: Settings) -> Iterator[Row]:
+    """What the pipeline adds to a node that does nothing."""
+    nodes = 4 if settings.quick else 40
+    found: dict[str, list[float]] = {}
+    for _ in range(settings.repetitions):
+        for name, seconds in pipeline.seconds_per_plan(nodes, 1).items():
+            found.setdefault(name, []).append(seconds / nodes)
+    for name, timings in found.items():
+        yield row_of_seconds("pipeline, per empty node", name, timings, measure="ms")
+
+
+def start_up(settings: Settings) -> Iterator[Row]:
+    """From the command to the first node that begins: imports, plan, database, executor."""
+    wait = time.sleep
+    for executor in ("serial",) if settings.quick else ("serial", "ray"):
+        timings = []
+        for _ in range(settings.repetitions):
+            with tempfile.TemporaryDirectory() as folder:
+                timings.append(_until_first_node(Path(folder), executor, wait))
+        name = f"smoke profile, {executor} executor"
+        yield row_of_seconds("seconds until the first node starts", name, timings)
+
+
+def _until_first_node(folder: Path, executor: str, wait: Callable[[float], None]) -> float:
+    """Seconds until the store has a work folder; the run then goes on to its end."""
+    plan = ("profile=smoke", "datasets=[mediocre-0.2]", "algorithms=[bc]")
+    command = [sys.executable, "-m", "flows.full_benchmark", *plan]
+    command += [f"runner.executor={executor}", f"store={folder / 'store'}"]
+    own = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
+    own["OMP_WAIT_POLICY"] = "PASSIVE"
+    with (folder / "errors").open("w+") as errors:
+        begin = time.perf_counter()
+        process = subprocess.Popen(
+            command, cwd=_ROOT, env=own, stdout=subprocess.DEVNULL, stderr=errors
+        )
+        taken, work = None, folder / "store" / "work"
+        while process.poll() is None:
+            if taken is None and work.is_dir() and any(work.iterdir()):
+                taken = time.perf_counter() - begin
+            wait(0.005 if taken is None else 0.1)
+        if process.returncode or taken is None:
+            errors.seek(0)
+            last = (errors.read().strip() or "no message").splitlines()[-1]
+            raise RuntimeError(f"the run ended with exit code {process.returncode}: {last}")
+    return taken
