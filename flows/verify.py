@@ -177,7 +177,8 @@ def _tidy(store: ArtifactStore, orphans: Sequence[Orphan], settings: VerifySetti
         return
     _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
     removed = sum(_remove(store, orphan) for orphan in orphans)
-    print(f"Orphans: {counts}; {removed} removed, which frees {total}.")
+    freed = f", which frees {total}" if removed == len(orphans) else ""
+    print(f"Orphans: {counts}; {removed} removed{freed}.")
 
 
 def _delete_runs(store: ArtifactStore, runs: Sequence[str]) -> None:
