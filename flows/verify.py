@@ -180,7 +180,8 @@ def _prune(store: ArtifactStore, settings: VerifySettings) -> None:
         _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
         removed = sum(_remove(store, orphan) for orphan in orphans)
     if orphans:
-        print(f"{summary}; {removed} removed, which frees {total}.")
+        freed = f", which frees {total}" if removed == len(orphans) else ""
+        print(f"{summary}; {removed} removed{freed}.")
 
 
 def _offer(store: ArtifactStore, settings: VerifySettings) -> None:

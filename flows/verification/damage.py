@@ -97,8 +97,9 @@ def check_records(store: ArtifactStore) -> list[Damage]:
 
 
 def _read_database(path: Path) -> None:
-    if path.stat().st_size == 0:
-        raise ValueError("it is empty")  # to SQLite, a database without tables
+    # To SQLite, an empty file is a database without tables; so is one that was begun just now.
+    if path.stat().st_size == 0 and any(path.parent.glob("artifacts/*")):
+        raise ValueError("it is empty, and there are files of runs")
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)
     try:
         [found] = connection.execute("pragma quick_check(1)").fetchone()

@@ -115,6 +115,7 @@ def test_damaged_records_are_named_and_nothing_is_pruned_while_they_are(
     path = store.root / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(content)
+    (store.root / "artifacts" / "run").mkdir(parents=True)
     work = begun_work(store, "f" * 32)
     assert run(store, "--prune") == 1
     said = capsys.readouterr().out
