@@ -28,6 +28,10 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
     """
     profile, words = split_overrides(overrides, aliases, _kind_of)
     layers = base_layers(profile)
+    if lacking := [key for key in Settings.model_fields if key not in {*layers.base, *_COMPOSED}]:
+        raise SettingsError(
+            f"conf/config.yaml lacks {', '.join(lacking)}; take it from the project as it was."
+        )
     check_keys(words, layers.base)
     try:
         values = _values(layers, parse_overrides(words, _kind_of))
@@ -39,6 +43,9 @@ def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES
     }
     settings: Settings = build_config(Settings, "", values)
     return settings
+
+
+_COMPOSED = ("profile_name", "special", "model_overrides", "notes")  # stand in no file
 
 
 def _kind_of(key: str) -> Any:

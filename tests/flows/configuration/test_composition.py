@@ -129,6 +129,16 @@ def test_a_wrong_profile_ends_in_one_sentence(conf: Path, content: str, says: st
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("kept", "lacking"),
+    [("", "data, datasets, "), ("seeds: [0]\n", "data, datasets, algorithms, ")],
+)
+def test_a_config_file_that_lost_settings_is_named(conf: Path, kept: str, lacking: str) -> None:
+    (conf / "config.yaml").write_text(kept, encoding="utf-8")
+    with pytest.raises(SettingsError, match=f"^conf/config.yaml lacks {lacking}.*; take it from"):
+        load_settings(["dry_run=true"])
+
+
 def test_profiles_may_have_the_old_name_of_the_proximity_step(conf: Path) -> None:
     written = "evaluation:\n  lambda_step: 0.2\n"
     (conf / "profile" / "mine.yaml").write_text(written, encoding="utf-8")
