@@ -18,7 +18,8 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -155,6 +156,19 @@ def _settings(options: argparse.Namespace) -> Settings:
     )
 
 
+def _measure(names: Sequence[str], settings: Settings, results: Results, path: Path) -> None:
+    """Measure what is not finished yet, and store the results after each benchmark."""
+    for name in names:
+        if name in results.finished:
+            continue
+        begin = time.perf_counter()
+        print(f"{name} ...", end="", flush=True)
+        results.rows += measured(name, settings, _LONGEST * (4 if settings.everything else 1))
+        results.finished.append(name)
+        results.write(path)
+        print(f" {time.perf_counter() - begin:.0f} s", flush=True)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.run", description=__doc__)
@@ -191,16 +205,12 @@ def main() -> None:
     now = datetime.datetime.now(tz=datetime.UTC)
     kind = settings.place.type + ("-quick" if options.quick else "")
     path = options.resume or options.results / f"{now:%Y-%m-%dT%H%M%S}-{kind}.json"
-    for name in options.only or UNITS:
-        if name in results.finished:
-            continue
-        begin = datetime.datetime.now(tz=datetime.UTC)
-        print(f"{name} ...", end="", flush=True)
-        results.rows += measured(name, settings, 4 * _LONGEST if options.all else _LONGEST)
-        results.finished.append(name)
-        results.write(path)
-        taken = datetime.datetime.now(tz=datetime.UTC) - begin
-        print(f" {taken.total_seconds():.0f} s", flush=True)
+    try:
+        _measure(options.only or list(UNITS), settings, results, path)
+    except KeyboardInterrupt:
+        begun = f"; --resume {path} goes on" if results.finished else ""
+        print(f"\nStopped{begun}.", file=sys.stderr)
+        raise SystemExit(130) from None
     print(f"\n{results.markdown()}\nStored: {path} and {path.with_suffix('.md').name}")
 
 
