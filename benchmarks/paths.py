@@ -228,13 +228,12 @@ def evaluation(settings: Settings) -> Iterator[Row]:
         {"actor": network.affine()},
         LaneData([dataset] * count, settings.place).frame_scaling,
     )
-    behaviours = Policy.concatenate(behaviour.card, [behaviour] * count)
     protocol = EvaluationProtocol()
 
     def run(device: torch.device = settings.place) -> None:
         evaluate_policies(
             [policy],
-            [behaviours],
+            [behaviour],
             card.environment,
             card.environment_parameters,
             protocol,
@@ -295,17 +294,18 @@ def node_overhead(settings: Settings) -> Iterator[Row]:
 
 def start_up(settings: Settings) -> Iterator[Row]:
     """From the command to the first node that begins: imports, plan, database, executor."""
-    wait = time.sleep
-    for executor in ("serial",) if settings.quick else ("serial", "ray"):
+    for executor, repeats in (("serial", settings.repetitions), ("ray", 1)):
+        if settings.quick and executor == "ray":
+            continue
         timings = []
-        for _ in range(settings.repetitions):
+        for _ in range(repeats):
             with tempfile.TemporaryDirectory() as folder:
-                timings.append(_until_first_node(Path(folder), executor, wait))
+                timings.append(_until_first_node(Path(folder), executor))
         name = f"smoke profile, {executor} executor"
         yield row_of_seconds("seconds until the first node starts", name, timings)
 
 
-def _until_first_node(folder: Path, executor: str, wait: Callable[[float], None]) -> float:
+def _until_first_node(folder: Path, executor: str) -> float:
     """Seconds until the store has a work folder; the run then goes on to its end."""
     plan = ("profile=smoke", "datasets=[mediocre-0.2]", "algorithms=[bc]")
     command = [sys.executable, "-m", "flows.full_benchmark", *plan]
@@ -321,7 +321,7 @@ def _until_first_node(folder: Path, executor: str, wait: Callable[[float], None]
         while process.poll() is None:
             if taken is None and work.is_dir() and any(work.iterdir()):
                 taken = time.perf_counter() - begin
-            wait(0.005 if taken is None else 0.1)
+            time.sleep(0.005 if taken is None else 0.1)
         if process.returncode or taken is None:
             errors.seek(0)
             last = (errors.read().strip() or "no message").splitlines()[-1]

@@ -83,7 +83,7 @@ def test_floors_count_products_and_what_an_update_changes(log: OfflineDataset) -
 
 
 def test_a_slow_learner_pays_its_share_of_a_block_s_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 0.0
+    now, pace = 0.0, 1.0
 
     def once(self: Settings, run: Callable[[], object]) -> float:
         before = now
@@ -92,14 +92,24 @@ def test_a_slow_learner_pays_its_share_of_a_block_s_draws(monkeypatch: pytest.Mo
 
     def update(step: int) -> None:
         nonlocal now
-        now += 1.0 + (5.0 if step % 50 == 0 else 0.0)
+        now += pace * (1.0 + (2.5 if step % 50 == 0 else 0.0))
 
     monkeypatch.setattr(Settings, "once", once)
     settings = Settings(seconds=6.0, repetitions=3)
     slow = learner_paths.seconds_per_update(update, 100, settings)
-    assert slow == pytest.approx([1.1] * 3)  # 5 s of draws over 50 steps
+    assert slow == pytest.approx([1.05] * 3)  # 2.5 s of draws over 50 steps
     fast = learner_paths.seconds_per_update(update, 100, Settings(seconds=300.0, repetitions=3))
-    assert fast == pytest.approx([1.1] * 3)
+    assert fast == pytest.approx([1.05] * 3)
+    pace = 10.0  # few repeats of what is very slow
+    assert learner_paths.seconds_per_update(update, 100, settings) == pytest.approx([10.5] * 2)
+
+
+@pytest.mark.slow(6)
+def test_evaluation_is_measured() -> None:
+    settings = Settings(quick=True, threads=1, seconds=0.01, matrix_rate=1e9, bandwidth=1e9)
+    [row] = run.measured("evaluation", settings)
+    assert row.note == "actor 256-256"
+    assert row.value
 
 
 @pytest.mark.slow(15)
