@@ -19,12 +19,12 @@ import torch
 
 from benchmarks.floors import Work, work_of_updates
 from benchmarks.lanes import UNTRAINED
-from benchmarks.model_free import BLOCK, peer_command, run, write_transitions
+from benchmarks.model_free import peer_command, run, write_transitions
 from benchmarks.records import Row, row_of_seconds
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
-from components.core.random_streams import lane_key
+from components.core.random_streams import BLOCK, lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.models import MODELS

@@ -39,7 +39,8 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import (
     Critics,
@@ -115,9 +116,9 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(config.batch),
-                "vae": normal_draw(config.batch, latent),
-                "target": normal_draw(config.batch, config.target_actions, latent),
-                "actor": normal_draw(config.batch, 1, latent),
+                "vae": Normal(config.batch, latent),
+                "target": Normal(config.batch, config.target_actions, latent),
+                "actor": Normal(config.batch, 1, latent),
             },
             device,
         )
@@ -213,7 +214,7 @@ ALGORITHM: Final = Algorithm(
     name="bcq",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(3.3e-4),
     frame_epsilon=1e-3,
 )

@@ -48,7 +48,8 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import (
     Critics,
@@ -165,10 +166,10 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(batch),
-                "vae": normal_draw(batch, latent),
-                "target": normal_draw(batch, config.target_actions, acted),
-                "generated": normal_draw(batch, matched, latent),
-                "actor": normal_draw(batch, matched, acted),
+                "vae": Normal(batch, latent),
+                "target": Normal(batch, config.target_actions, acted),
+                "generated": Normal(batch, matched, latent),
+                "actor": Normal(batch, matched, acted),
             },
             device,
         )
@@ -270,7 +271,7 @@ ALGORITHM: Final = Algorithm(
     name="bear",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(1.7e-4),
     frame_epsilon=1e-3,
 )

@@ -43,7 +43,8 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.networks.gaussian import Sample, log_density, raw_actions
@@ -122,7 +123,7 @@ class Learner(StackedLearner):
             "critics": config.learning_rate,
         }
         self._optimizers = adam_each(self._networks, rates)
-        several = normal_draw(config.batch, config.divergence_actions, acted)
+        several = Normal(config.batch, config.divergence_actions, acted)
         self._streams = LaneStreams(
             keys,
             {"row": data.row_draw(config.batch), "next": several, "actor": several},
@@ -238,7 +239,7 @@ ALGORITHM: Final = Algorithm(
     name="brac",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(6.5e-5),
     frame_epsilon=1e-3,
 )

@@ -32,7 +32,6 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -47,7 +46,8 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal, Uniform
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lane_groups, lanewise_mean, polyak_update
 from components.networks.gaussian import log_density, raw_actions
@@ -128,11 +128,11 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(batch),
-                "actor": normal_draw(batch, 1, acted),
-                "target": normal_draw(batch, 1, acted),
-                "here": normal_draw(*tried),
-                "next": normal_draw(*tried),
-                "uniform": lambda g, lane, steps: 2.0 * g.random((steps, *tried), np.float32) - 1.0,
+                "actor": Normal(batch, 1, acted),
+                "target": Normal(batch, 1, acted),
+                "here": Normal(*tried),
+                "next": Normal(*tried),
+                "uniform": Uniform(*tried, low=-1.0),
             },
             device,
         )
@@ -260,7 +260,7 @@ ALGORITHM: Final = Algorithm(
     name="cql",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(5.8e-4),
     frame_epsilon=1e-3,
 )

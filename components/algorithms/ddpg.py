@@ -179,7 +179,7 @@ ALGORITHM: Final = Algorithm(
     name="ddpg",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(2.2e-5),
     frame_epsilon=1e-3,
 )

@@ -46,7 +46,8 @@ from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.model_buffer import ModelBuffer
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.algorithms.parts.soft_actor_critic import SoftActorCritic
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Integers, Normal, UniformDouble
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.interface import Prediction
@@ -134,9 +135,9 @@ class Learner(SoftActorCritic):
             {
                 "row": data.row_draw(config.logged),
                 # In double precision: single has too few digits for a million places.
-                "virtual": lambda g, lane, steps: g.random((steps, virtual)),
-                "next": normal_draw(batch, 1, acted),
-                "actor": normal_draw(batch, 1, acted),
+                "virtual": UniformDouble(virtual),
+                "next": Normal(batch, 1, acted),
+                "actor": Normal(batch, 1, acted),
             },
             device,
         )
@@ -147,9 +148,9 @@ class Learner(SoftActorCritic):
             keys,
             {
                 "start": data.row_draw(self._chunk),
-                "elite": lambda g, lane, steps: g.integers(elites, size=(steps, *several)),
-                "frame": normal_draw(*several, self._model.low.shape[1]),
-                "action": normal_draw(*several, acted),
+                "elite": Integers([elites] * self.lanes, *several),
+                "frame": Normal(*several, self._model.low.shape[1]),
+                "action": Normal(*several, acted),
             },
             device,
             block=1,
@@ -282,8 +283,8 @@ ALGORITHM: Final = Algorithm(
     name="mopo",
     config=Config,
     learner=Learner,
-    version=1,
-    version_with_falls=2,
+    version=2,
+    version_with_falls=3,
     cost=_cost,
     needs=("gaussian_ensemble",),
     frame_epsilon=1e-3,

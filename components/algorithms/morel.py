@@ -42,8 +42,6 @@ here.
 from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -66,7 +64,8 @@ from components.algorithms.parts.natural_gradient import (
 )
 from components.algorithms.parts.pessimistic_mdp import Detector, PessimisticMDP
 from components.algorithms.parts.ranges import check_at_least_one
-from components.core.random_streams import Draw, LaneStreams, normal_draw
+from components.core.draws import Choice, Draw, Normal, Order
+from components.core.random_streams import LaneStreams
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment
 from components.networks import lanewise_mean
@@ -158,18 +157,12 @@ class Learner(StackedLearner):
     def _draws(self) -> dict[str, Draw]:
         batch, horizon, data = self._batch, self._config.horizon, self._data
         begins = [start_rows(dataset, 1) for dataset in data.datasets]
-        anywhere = data.row_draw(batch)
-
-        def start(g: np.random.Generator, lane: int, steps: int) -> npt.NDArray[np.int64]:
-            rows = anywhere(g, lane, steps)
-            rows[:, ::2] = g.choice(begins[lane], size=rows[:, ::2].shape)
-            return rows
-
-        def order(g: np.random.Generator, lane: int, steps: int) -> npt.NDArray[np.int64]:
-            return np.stack([g.permutation(horizon * batch) for _ in range(steps)])
-
-        noise = normal_draw(horizon, batch, data.action_width)
-        return {"start": start, "noise": noise, "order": order}
+        return {
+            "anywhere": data.row_draw(batch // 2),
+            "begin": Choice(begins, batch - batch // 2),
+            "noise": Normal(horizon, batch, data.action_width),
+            "order": Order(horizon * batch),
+        }
 
     # -- networks ---------------------------------------------------------------------------
 
@@ -255,7 +248,8 @@ class Learner(StackedLearner):
         if step < self.pretraining:
             return self._pretrain(self._pretraining_streams.at(step)["row"])
         drawn = self._streams.at(step - self.pretraining)
-        rolled = self._roll_out(drawn["start"], drawn["noise"])
+        start = torch.cat([drawn["begin"], drawn["anywhere"]], dim=1)
+        rolled = self._roll_out(start, drawn["noise"])
         ended, halted = rolled.ended, rolled.ended.halts.any(dim=0).float()
         live = live_samples(by_sample(ended.alive), drawn["order"])
         self._climb(rolled, live)
@@ -296,7 +290,7 @@ ALGORITHM: Final = Algorithm(
     name="morel",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=_cost,
     needs=("residual_ensemble",),
 )

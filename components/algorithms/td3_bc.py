@@ -31,7 +31,8 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import Draw, LaneStreams, normal_draw, spawn_generators
+from components.core.draws import Draw, Normal
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
@@ -97,7 +98,7 @@ class Learner(StackedLearner):
         batch = self._config.batch
         return {
             "row": self._data.row_draw(batch),
-            "noise": normal_draw(batch, self._data.action_width),
+            "noise": Normal(batch, self._data.action_width),
         }
 
     def _batch(self, drawn: dict[str, Tensor]) -> Batch:
@@ -177,7 +178,7 @@ ALGORITHM: Final = Algorithm(
     name="td3_bc",
     config=Config,
     learner=Learner,
-    version=2,
+    version=3,
     cost=per_transition(2.5e-5),
     frame_epsilon=1e-3,
 )

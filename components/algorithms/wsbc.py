@@ -39,6 +39,7 @@ from components.algorithms.parts.algorithm import Algorithm
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, start_rows
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
+from components.core.draws import Uniform
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
@@ -122,8 +123,8 @@ class Learner(StackedLearner):
         self._streams = LaneStreams(
             inputs.keys,
             {
-                "own": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
-                "ring": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
+                "own": Uniform(*size),
+                "ring": Uniform(*size),
             },
             device,
             block=1,  # a step draws two numbers per weight of every particle
@@ -252,7 +253,7 @@ ALGORITHM: Final = Algorithm(
     name="wsbc",
     config=Config,
     learner=Learner,
-    version=2,
+    version=3,
     cost=_cost,
     needs=("behaviour_policy", "recurrent_ensemble"),
 )

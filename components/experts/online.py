@@ -24,7 +24,8 @@ import torch
 from torch import Tensor
 
 from components.algorithms import ddpg
-from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
+from components.core.draws import Normal, Uniform, UniformDouble
+from components.core.random_streams import LaneStreams, lane_generator, lane_key
 from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
 from components.networks import StackedMLP
@@ -115,9 +116,9 @@ class OnlineDDPG:
         self._streams = LaneStreams(
             keys,
             {
-                "uniform": lambda g, lane, steps: g.uniform(-1.0, 1.0, (steps, widths[1])),
-                "noise": normal_draw(widths[1]),
-                "row": lambda g, lane, steps: g.random((steps, config.batch)),
+                "uniform": Uniform(widths[1], low=-1.0),
+                "noise": Normal(widths[1]),
+                "row": UniformDouble(config.batch),
             },
             device,
         )

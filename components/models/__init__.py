@@ -76,37 +76,37 @@ MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
             lambda config: 0.5 * config.epochs,
-            version=6,
+            version=7,
         ),
         "gaussian_behaviour": ModelKind(
             GaussianBehaviourConfig,
             fit_gaussian_behaviour,
             GaussianBehaviour.load,
             lambda config: 0.5 * config.epochs,
-            version=6,
+            version=7,
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
             fit_recurrent_ensemble,
             RecurrentEnsemble.load,
             _recurrent_cost,
-            version=5,
+            version=6,
         ),
         "deterministic_ensemble": ModelKind(
-            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "gaussian_ensemble": ModelKind(
-            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "residual_ensemble": ModelKind(
-            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "action_vae": ModelKind(
             action_vae.ActionVAEConfig,
             action_vae.fit_action_vae,
             action_vae.ActionVAE.load,
             lambda config: 7.5 * config.epochs,
-            version=5,
+            version=6,
         ),
     }
 )

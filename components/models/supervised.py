@@ -232,7 +232,7 @@ class StackedFit(Generic[N]):
 
     def stage(self, step: int) -> None:
         """Copy a step's draws and learning rate to where CUDA graphs read them."""
-        self._streams.stage(step)
+        self._streams.stage(step, 1)
         self._schedule.follow(step)
 
     def _rate(self, step: int) -> float:

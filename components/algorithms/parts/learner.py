@@ -123,7 +123,7 @@ class StackedLearner:
 
     def stage(self, step: int) -> None:
         """Copy a step's draws to where CUDA graphs read them."""
-        self._streams.stage(step)
+        self._streams.stage(step, 1)
 
     def branch(self, step: int) -> Hashable | None:
         """Branch of a step; steps of a branch differ in their draws alone. None: no graph.
