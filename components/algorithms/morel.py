@@ -39,6 +39,7 @@ trajectories shorter than five steps count. Pretraining takes a fixed number of 
 here.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -157,9 +158,10 @@ class Learner(StackedLearner):
     def _draws(self) -> dict[str, Draw]:
         batch, horizon, data = self._batch, self._config.horizon, self._data
         begins = [start_rows(dataset, 1) for dataset in data.datasets]
+        half = (batch + 1) // 2
         return {
-            "anywhere": data.row_draw(batch // 2),
-            "begin": Choice(begins, batch - batch // 2),
+            "begin": Choice(begins, half),
+            "anywhere": data.row_draw(half),
             "noise": Normal(horizon, batch, data.action_width),
             "order": Order(horizon * batch),
         }
@@ -174,6 +176,11 @@ class Learner(StackedLearner):
         return mean.clamp(-1.0, 1.0)
 
     # -- virtual trajectories -----------------------------------------------------------------
+
+    def _starts(self, drawn: Mapping[str, Tensor]) -> Tensor:
+        """Rows ``[L, B]``: of each member's, every other one begins where a logged one does."""
+        both = torch.stack([drawn["begin"], drawn["anywhere"]], dim=-1)
+        return both.flatten(1)[:, : self._batch]
 
     @torch.no_grad()
     def _roll_out(self, start: Tensor, noise: Tensor) -> Rollouts:
@@ -248,8 +255,7 @@ class Learner(StackedLearner):
         if step < self.pretraining:
             return self._pretrain(self._pretraining_streams.at(step)["row"])
         drawn = self._streams.at(step - self.pretraining)
-        start = torch.cat([drawn["begin"], drawn["anywhere"]], dim=1)
-        rolled = self._roll_out(start, drawn["noise"])
+        rolled = self._roll_out(self._starts(drawn), drawn["noise"])
         ended, halted = rolled.ended, rolled.ended.halts.any(dim=0).float()
         live = live_samples(by_sample(ended.alive), drawn["order"])
         self._climb(rolled, live)

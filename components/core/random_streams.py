@@ -70,7 +70,7 @@ class LaneStreams:
         self._draws = {name: draw.to(device) for name, draw in draws.items()}
         self._keys = {name: [lane_key(key, name) for key in keys] for name in draws}
         self._device = device
-        self.block = block
+        self._block = block
         self._first, self._count = 0, 0  # steps whose numbers are at hand
         self._drawn: dict[str, Tensor] = {}
         self._counter = torch.zeros((), dtype=torch.int64, device=device)
@@ -79,24 +79,34 @@ class LaneStreams:
     def at(self, step: int) -> dict[str, Tensor]:
         """Random tensors ``[L, ...]`` of one step; any step may be asked for at any time."""
         if not self._first <= step < self._first + self._count:
-            self.stage(step - step % self.block, self.block)
-        if not self._drawn:
-            words = self._host_words if self._device.type == "cpu" else self._device_words
-            self._drawn = {name: self._draws[name](own) for name, own in words().items()}
+            self.stage(step - step % self._block, self._block)
+            if self._device.type == "cpu":
+                self._keep(self._host_words(self._block))
+            else:
+                self.draw(self._block)
         return {name: numbers[step - self._first] for name, numbers in self._drawn.items()}
 
     def stage(self, first: int, count: int) -> None:
-        """Choose the steps that the next :meth:`at` draws, from ``first`` on.
-
-        That :meth:`at` can be captured in a CUDA graph, which then draws on every replay the
-        numbers of as many steps from the one staged before the replay.
-        """
-        self._first, self._count, self._drawn = first, count, {}
+        """Tell the next :meth:`draw` of ``count`` steps where they begin."""
+        self._first, self._count = first, 0
         self._counter.fill_(first)
 
-    def _host_words(self) -> dict[str, Tensor]:
+    def draw(self, count: int) -> None:
+        """Draw the staged steps by operations of the device.
+
+        A CUDA graph that has captured this draws on every replay the numbers of as many steps from
+        the one that was staged before the replay.
+        """
+        self._keep(self._device_words(count))
+
+    def _keep(self, words: Mapping[str, Tensor]) -> None:
+        """Make numbers of words ``[T, L, words]``."""
+        self._drawn = {name: self._draws[name](own) for name, own in words.items()}
+        self._count = len(next(iter(words.values())))
+
+    def _host_words(self, count: int) -> dict[str, Tensor]:
         """Words ``[T, L, words]`` of T steps by name, from NumPy."""
-        drawn, count = {}, self._count
+        drawn = {}
         for name, keys in self._keys.items():
             words = self._draws[name].words
             blocks = -(-words // WORDS)
@@ -105,15 +115,15 @@ class LaneStreams:
             drawn[name] = by_step[..., :words].contiguous()
         return drawn
 
-    def _device_words(self) -> dict[str, Tensor]:
+    def _device_words(self, count: int) -> dict[str, Tensor]:
         """The same words, all at once, from where the device's own counter stands."""
-        offsets, blocks, low_key, high_key = self._layout(self._count)
+        offsets, blocks, low_key, high_key = self._layout(count)
         counter, zero = offsets + blocks * self._counter, torch.zeros_like(self._counter)
         words = philox((counter, zero, zero, zero), (low_key, high_key))
         drawn, begin = {}, 0
         for name, keys in self._keys.items():
             wanted = self._draws[name].words
-            shape = self._count, len(keys), -(-wanted // WORDS)
+            shape = count, len(keys), -(-wanted // WORDS)
             end = begin + math.prod(shape)
             drawn[name] = words[begin:end].view(*shape[:2], -1)[..., :wanted].contiguous()
             begin = end
