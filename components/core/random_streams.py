@@ -80,26 +80,39 @@ class LaneStreams:
         self._block = block
         self._number = -1
         self._cache: dict[str, Tensor] = {}
-        self._staged = -1
-        self._stage: dict[str, Tensor] = {}
+        self._staged = range(0)
+        self._stages: dict[int, dict[str, Tensor]] = {}
 
     def at(self, step: int) -> dict[str, Tensor]:
         """Random tensors ``[L, ...]`` of one step; any step may be asked for at any time."""
-        if step == self._staged:
-            return self._stage
+        if step in self._staged:
+            stage, place = self._stages[len(self._staged)], step - self._staged.start
+            return {name: tensor[place] for name, tensor in stage.items()}
+        return self._drawn(step)
+
+    def stage(self, first: int, count: int = 1) -> None:
+        """Prepare steps ``first ... first + count - 1`` where CUDA graphs of ``count`` read.
+
+        The graph itself begins with :meth:`draw`.
+        """
+        for place in range(count):
+            fresh = self._drawn(first + place)
+            if count not in self._stages:
+                self._stages[count] = {
+                    name: tensor.new_empty((count, *tensor.shape)) for name, tensor in fresh.items()
+                }
+            for name, tensor in fresh.items():
+                self._stages[count][name][place].copy_(tensor)
+        self._staged = range(first, first + count)
+
+    def draw(self, count: int) -> None:
+        """Draw the staged steps, in a graph or outside; here they were drawn when staged."""
+
+    def _drawn(self, step: int) -> dict[str, Tensor]:
         number, offset = divmod(step, self._block)
         if number != self._number:
             self._fill(number)
         return {name: block[offset] for name, block in self._cache.items()}
-
-    def stage(self, step: int) -> None:
-        """Copy a step's tensors into the same memory at every step, from which CUDA graphs read."""
-        fresh = self.at(step)
-        if not self._stage:
-            self._stage = {name: tensor.clone() for name, tensor in fresh.items()}
-        for name, tensor in fresh.items():
-            self._stage[name].copy_(tensor)
-        self._staged = step
 
     def _fill(self, number: int) -> None:
         drawn: dict[str, list[npt.NDArray[np.generic]]] = {name: [] for name in self._draws}

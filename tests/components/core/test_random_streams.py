@@ -99,10 +99,16 @@ def test_numbers_are_the_ones_results_were_made_with() -> None:
 
 def test_staged_draws_lie_where_those_of_the_last_stage_lay() -> None:
     staged, fresh = streams(), streams()
-    staged.stage(2)
-    place = staged.at(2)["noise"]
-    assert torch.equal(place, fresh.at(2)["noise"])
-    staged.stage(9)
-    assert staged.at(9)["noise"] is place
-    assert torch.equal(place, fresh.at(9)["noise"])
-    assert torch.equal(staged.at(10)["noise"], fresh.at(10)["noise"])
+    staged.stage(2, 3)
+    staged.draw(3)
+    places = [staged.at(step)["noise"] for step in (2, 3, 4)]
+    for step, place in zip((2, 3, 4), places, strict=True):
+        assert torch.equal(place, fresh.at(step)["noise"])
+    staged.stage(7, 1)
+    staged.draw(1)
+    staged.stage(9, 3)
+    staged.draw(3)
+    for step, place in zip((9, 10, 11), places, strict=True):
+        assert staged.at(step)["noise"].data_ptr() == place.data_ptr()
+        assert torch.equal(place, fresh.at(step)["noise"])
+    assert torch.equal(staged.at(12)["noise"], fresh.at(12)["noise"])
