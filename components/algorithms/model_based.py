@@ -57,6 +57,8 @@ class Config:
 class Learner(StackedLearner):
     """A stack of unconstrained policies, one lane per (dataset, seed)."""
 
+    updates_per_graph = 1
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._data = inputs.data
         data, device = inputs.data, inputs.data.device

@@ -113,6 +113,8 @@ class _Part:
 class Learner(StackedLearner):
     """A stack of MOOSE policies, one lane per (dataset, seed)."""
 
+    updates_per_graph = 1
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data
         data, device = inputs.data, inputs.data.device

@@ -123,6 +123,8 @@ class Config:
 class Learner(StackedLearner):
     """A stack of MOReL learners, one lane per (dataset, seed)."""
 
+    updates_per_graph = 1
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data
         data, device, keys = inputs.data, inputs.data.device, inputs.keys
@@ -247,8 +249,21 @@ class Learner(StackedLearner):
 
     # -- update -----------------------------------------------------------------------------
 
-    def branch(self, step: int) -> None:
-        """None: the number of live samples, a shape of the update's tensors, changes each time."""
+    def branch(self, step: int) -> str:
+        """Phase: pretraining, then the policy gradient, whose tensors always have one shape."""
+        return "pretraining" if step < self.pretraining else "policy"
+
+    def stage(self, first: int, count: int) -> None:
+        """Tell CUDA graphs which step comes next."""
+        if first < self.pretraining:
+            self._pretraining_streams.stage(first, count)
+        else:
+            self._streams.stage(first - self.pretraining, count)
+
+    def draw(self, first: int, count: int) -> None:
+        """Draw the numbers of the step that was staged."""
+        streams = self._pretraining_streams if first < self.pretraining else self._streams
+        streams.draw(count)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on all lanes: of pretraining at first, then a natural gradient step."""

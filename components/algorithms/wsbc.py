@@ -94,6 +94,8 @@ class Config:
 class Learner(StackedLearner):
     """A stack of WSBC swarms, one lane per (dataset, seed)."""
 
+    updates_per_graph = 1
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data
         data, device = inputs.data, inputs.data.device

@@ -79,10 +79,11 @@ class LaneStreams:
     def at(self, step: int) -> dict[str, Tensor]:
         """Random tensors ``[L, ...]`` of one step; any step may be asked for at any time."""
         if not self._first <= step < self._first + self._count:
-            self.stage(step - step % self._block, self._block)
+            self._first = step - step % self._block
             if self._device.type == "cpu":
                 self._keep(self._host_words(self._block))
             else:
+                self.stage(self._first, self._block)
                 self.draw(self._block)
         return {name: numbers[step - self._first] for name, numbers in self._drawn.items()}
 
@@ -90,6 +91,7 @@ class LaneStreams:
         """Tell the next :meth:`draw` of ``count`` steps where they begin."""
         self._first, self._count = first, 0
         self._counter.fill_(first)
+        self._layout(count)  # copied to the device before a graph is captured, not within
 
     def draw(self, count: int) -> None:
         """Draw the staged steps by operations of the device.

@@ -9,6 +9,9 @@ Settings are those of the "DDPG" of Fujimoto et al., "Off-Policy Deep Reinforcem
 Exploration" (2019), whose imperfect demonstrations the thesis's robot data follow; the update is
 that of :class:`components.algorithms.ddpg.ActorCritic`, on frames as the system gives them.
 
+On a GPU the update is a CUDA graph; the step of the system, which runs on the host and needs an
+action from the device every time, is not.
+
 The transitions of a lane depend on its key alone: starts are drawn from (key, episode number),
 everything else from (key, step). Checkpoints do not hold the state of the simulator: a resumed run
 repeats the current episode from its start with the stored actions, which gives the same state.
@@ -29,6 +32,7 @@ from components.core.random_streams import LaneStreams, lane_generator, lane_key
 from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
 from components.networks import StackedMLP
+from components.training.cuda_graphs import graphed
 from components.training.state import module_state, with_prefix
 
 __all__ = ["ExpertConfig", "OnlineDDPG"]
@@ -86,6 +90,37 @@ class ExpertConfig:
         )
 
 
+class _ReplayedDDPG(ddpg.ActorCritic):
+    """The update on transitions drawn from a replay memory.
+
+    Args:
+        config: Settings.
+        keys: One random stream per lane.
+        replay: The memory.
+        widths: Of an observation and of an action.
+        device: Where to learn.
+    """
+
+    updates_per_graph = 1
+
+    def __init__(
+        self,
+        config: ExpertConfig,
+        keys: Sequence[int],
+        replay: Replay,
+        widths: tuple[int, int],
+        device: torch.device,
+    ) -> None:
+        super().__init__(config.learner, keys, *widths, device)
+        self._replay = replay
+        self._streams = LaneStreams(keys, {"row": UniformDouble(config.batch)}, device)
+
+    def update(self, step: int) -> dict[str, Tensor]:
+        """One update on transitions drawn uniformly from all that there are."""
+        index = (self._streams.at(step)["row"] * self._replay.filled).long()
+        return self.learn(self._replay.batch(index))
+
+
 class OnlineDDPG:
     """L DDPG learners that collect their own transitions.
 
@@ -109,7 +144,8 @@ class OnlineDDPG:
         self._config, self._keys, self._device = config, list(keys), device
         self._robots, self._replay = robots, replay
         widths = len(robots.frame_features), len(robots.action_features)
-        self._ddpg = ddpg.ActorCritic(config.learner, keys, *widths, device)
+        self._ddpg = _ReplayedDDPG(config, keys, replay, widths, device)
+        self._learning = graphed(self._ddpg, device)
         self._best = copy.deepcopy(self._ddpg.actor).requires_grad_(False)
         self._best_return = torch.full((self.lanes,), -torch.inf, dtype=torch.float64)
         self._best_step = torch.zeros(self.lanes, dtype=torch.int64)
@@ -118,7 +154,6 @@ class OnlineDDPG:
             {
                 "uniform": Uniform(widths[1], low=-1.0),
                 "noise": Normal(widths[1]),
-                "row": UniformDouble(config.batch),
             },
             device,
         )
@@ -135,8 +170,7 @@ class OnlineDDPG:
         self._interact(self._noisy_actions(random["noise"]) if learns else random["uniform"])
         if not learns:
             return {}
-        index = (random["row"] * self._replay.count).long()
-        return self._ddpg.learn(self._replay.batch(index))
+        return self._learning.update(step)
 
     @torch.no_grad()
     def _noisy_actions(self, noise: Tensor) -> Tensor:

@@ -34,6 +34,9 @@ class Replay:
         actions: Width A.
         device: Where batches are drawn.
         files: One per lane, made if missing; without files transitions are in memory only.
+
+    Attributes:
+        filled: Transitions per lane so far, float64 on the device, where a CUDA graph reads it.
     """
 
     def __init__(
@@ -52,6 +55,7 @@ class Replay:
         self._files = [path.open("r+b" if path.exists() else "w+b") for path in files]
         self._hashes = [hashlib.sha256() for _ in files]
         self._count = 0
+        self.filled = torch.zeros((), dtype=torch.float64, device=device)
 
     @property
     def count(self) -> int:
@@ -84,6 +88,7 @@ class Replay:
             file.flush()  # a killed process loses what it has not handed to the operating system
         self._rows[:, self._count] = torch.from_numpy(rows)
         self._count += 1
+        self.filled.fill_(self._count)
 
     def digests(self) -> Tensor:
         """SHA-256 of every lane's transitions so far, ``[L, 32]``; these are then on the disk."""
@@ -118,6 +123,7 @@ class Replay:
             self._rows[lane, :count] = rows
             file.seek(stored.nbytes)
         self._count = count
+        self.filled.fill_(count)
 
     def actions(self, index: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Actions ``[L, A]`` of one transition per lane, ``index [L]``."""

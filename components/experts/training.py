@@ -69,19 +69,18 @@ def train_experts(
     learner = OnlineDDPG(config, keys, robots, replay, device)
 
     def evaluate(done: int, curves: Curves) -> bool:
-        if done % config.evaluate_every == 0:
-            starts = [
-                lane_generator(lane_key(key, "evaluation", done), episode)
-                for key in keys
-                for episode in range(config.episodes)
-            ]
-            undefined = torch.zeros(len(keys), dtype=torch.bool)
-            act = _deterministic(learner.actor, device, undefined)
-            rewards = episode_rewards(act, evaluated, starts, config.horizon)
-            returns = torch.from_numpy(rewards.sum(axis=1)).view(len(keys), -1).mean(dim=1)
-            returns[undefined] = torch.nan
-            learner.keep_best(done, returns)
-            curves.add(done, {"evaluation/return": returns})
+        starts = [
+            lane_generator(lane_key(key, "evaluation", done), episode)
+            for key in keys
+            for episode in range(config.episodes)
+        ]
+        undefined = torch.zeros(len(keys), dtype=torch.bool)
+        act = _deterministic(learner.actor, device, undefined)
+        rewards = episode_rewards(act, evaluated, starts, config.horizon)
+        returns = torch.from_numpy(rewards.sum(axis=1)).view(len(keys), -1).mean(dim=1)
+        returns[undefined] = torch.nan
+        learner.keep_best(done, returns)
+        curves.add(done, {"evaluation/return": returns})
         return False
 
     loop = TrainingLoop(
@@ -93,7 +92,8 @@ def train_experts(
         progress,
     )
     with without_denormals():
-        curves = loop.run(learner, evaluate)
+        evaluated_at = range(config.evaluate_every, config.steps + 1, config.evaluate_every)
+        curves = loop.run(learner, evaluate, evaluated_at)
     card = PolicyCard(
         algorithm="ddpg",
         dataset=f"none, trained on {name} itself",
@@ -108,8 +108,8 @@ def train_experts(
     policies: list[Policy | DivergedError] = []
     for lane, step in enumerate(learner.best_step):
         ended_at = curves.ended_at(lane)
-        evaluated_at, _ = curves.of_lane(lane).get("evaluation/return", ((), ()))
-        if ended_at is not None and max(evaluated_at, default=0) <= config.random_steps:
+        finite, _ = curves.of_lane(lane).get("evaluation/return", ((), ()))
+        if ended_at is not None and max(finite, default=0) <= config.random_steps:
             error = f"its loss or its policy was no longer finite at step {ended_at}, and no "
             policies.append(DivergedError(f"{error}policy that had learned was evaluated before"))
         else:

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from components.core.random_streams import LaneStreams
 from components.training.cuda_graphs import graphed
 from components.training.divergence import DivergedError
-from components.training.loop import Curves, Schedule, TrainingLoop, adam
+from components.training.loop import Curves, TrainingLoop, adam
+from components.training.schedule import Schedule
 from components.training.state import (
     load_optimizer_state,
     module_state,
@@ -156,6 +157,8 @@ class StackedFit(Generic[N]):
         weight_decay: L2 term inside Adam.
     """
 
+    updates_per_graph = 10
+
     def __init__(
         self,
         network: N,
@@ -212,8 +215,6 @@ class StackedFit(Generic[N]):
             self.untrained_loss = validate(self.network)
 
         def after(done: int, curves: Curves) -> bool:
-            if done % validate_every and done != updates:
-                return False
             with torch.no_grad():
                 losses = validate(self.network)
             curves.add(done, {"model/validation_loss": losses})
@@ -224,16 +225,21 @@ class StackedFit(Generic[N]):
         loop = TrainingLoop(
             updates, names, checkpoint, log_every=validate_every, progress=monitor.progress
         )
-        return loop.run(graphed(self, self.best_loss.device), after)
+        validated = {*range(validate_every, updates, validate_every), updates}
+        return loop.run(graphed(self, self.best_loss.device), after, validated)
 
     def branch(self, step: int) -> str:
         """All updates belong to one branch."""
         return "all"
 
-    def stage(self, step: int) -> None:
-        """Copy a step's draws and learning rate to where CUDA graphs read them."""
-        self._streams.stage(step, 1)
-        self._schedule.follow(step)
+    def stage(self, first: int, count: int) -> None:
+        """Tell CUDA graphs which steps come next, and their learning rates."""
+        self._streams.stage(first, count)
+        self._schedule.stage(first, count)
+
+    def draw(self, first: int, count: int) -> None:
+        """Draw the numbers of the steps that were staged."""
+        self._streams.draw(count)
 
     def _rate(self, step: int) -> float:
         falling = 0.5 * (1.0 + math.cos(math.pi * step / self._updates))

@@ -7,10 +7,10 @@ the loop is interrupted or when it saves.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -19,13 +19,14 @@ from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors, save_tensors
 from components.core.version import code_version
 from components.networks.stacked import select_lanes
+from components.training.sums import MetricSums
 
 FORMAT: Final = 1
 """Of checkpoints; raise it when their content changes."""
 
 _REMEDY: Final = "delete it to train from the beginning"
 
-__all__ = ["Curves", "Learner", "Schedule", "TrainingLoop", "adam"]
+__all__ = ["Curves", "Learner", "RunLearner", "TrainingLoop", "adam"]
 
 
 class Learner(Protocol):
@@ -43,6 +44,14 @@ class Learner(Protocol):
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore what :meth:`state_dict` returned."""
+
+
+@runtime_checkable
+class RunLearner(Learner, Protocol):
+    """A learner that does several updates at once, to the same numbers."""
+
+    def run_updates(self, first: int, count: int, sums: MetricSums) -> None:
+        """Do updates ``first ... first + count - 1`` and add their metrics to ``sums``."""
 
 
 @dataclass
@@ -114,13 +123,18 @@ class TrainingLoop:
         self,
         learner: Learner,
         after_update: Callable[[int, Curves], bool] = lambda done, curves: False,
+        at: Container[int] | None = None,
     ) -> Curves:
         """Train until the budget is spent or ``after_update`` asks to stop.
+
+        Between two events (ends of logging intervals and calls of ``after_update``) a
+        :class:`RunLearner` does all updates in one call.
 
         Args:
             learner: Freshly initialised; its state is replaced if a checkpoint exists.
             after_update: Called with the number of finished updates and the curves so far, for
                 snapshots and validation; returns whether to stop early.
+            at: Numbers of finished updates at which ``after_update`` is called; None: at all.
 
         Returns:
             The learning curves from the first update on.
@@ -129,20 +143,23 @@ class TrainingLoop:
             DamagedFileError: The checkpoint is damaged, was written by another version, or belongs
                 to another training.
         """
-        curves = Curves()
+        curves, sums = Curves(), MetricSums()
         done, stopped = self._restore(learner, curves)
-        sums: dict[str, tuple[Tensor, int]] = {}
         saved = time.monotonic()
         while done < self.steps and not stopped:
-            for name, value in learner.update(done).items():
-                total, count = sums.get(name, (torch.zeros_like(value), 0))
-                sums[name] = total + value, count + 1
-            done += 1
+            until = self._next_event(done, at)
+            if isinstance(learner, RunLearner):
+                learner.run_updates(done, until - done, sums)
+            else:
+                for step in range(done, until):
+                    sums.add(learner.update(step))
+            done = until
             if done % self.log_every == 0:
-                curves.add(done, {name: total / count for name, (total, count) in sums.items()})
-                sums = {}
+                curves.add(done, sums.means())
+                sums.clear()
                 self.progress(done / self.steps)
-            stopped = after_update(done, curves)
+            if at is None or done in at:
+                stopped = after_update(done, curves)
             # Only at the ends of intervals: a checkpoint does not hold unfinished metric sums.
             due = time.monotonic() - saved >= self.save_every and done % self.log_every == 0
             if due or stopped or done == self.steps:
@@ -150,6 +167,13 @@ class TrainingLoop:
                 saved = time.monotonic()
         self.progress(1.0)
         return curves
+
+    def _next_event(self, done: int, at: Container[int] | None) -> int:
+        """The next number of finished updates at which something happens between updates."""
+        if at is None:
+            return done + 1
+        end = min(done - done % self.log_every + self.log_every, self.steps)
+        return next((n for n in range(done + 1, end) if n in at), end)
 
     def _save(self, learner: Learner, curves: Curves, done: int, stopped: bool) -> None:
         if self.checkpoint is None:
@@ -245,29 +269,3 @@ def adam(
         fused=True,
         capturable=device.type == "cuda",  # by graphs, which read the learning rate from memory
     )
-
-
-class Schedule:
-    """A learning rate that depends on the step.
-
-    It is written once per step, to where the optimiser or a CUDA graph of its steps reads it. If
-    :meth:`follow` is called again for the step, as in a captured update, it does nothing.
-
-    Args:
-        optimizer: The optimiser whose rate is set.
-        rate: Learning rate of a step, by step number.
-    """
-
-    def __init__(self, optimizer: torch.optim.Optimizer, rate: Callable[[int], float]) -> None:
-        self._optimizer, self._rate, self._step = optimizer, rate, -1
-
-    def follow(self, step: int) -> None:
-        """Set the rate of a step."""
-        if step == self._step:
-            return
-        self._step = step
-        for group in self._optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):
-                group["lr"].fill_(self._rate(step))
-            else:
-                group["lr"] = self._rate(step)

@@ -113,17 +113,23 @@ class StackedLearner:
     """Base of all learners: named networks and optimisers, saved and restored as one state.
 
     Subclasses fill the two mappings; targets and learned scalars are networks too. A subclass that
-    needs updates before its budget gives their number in ``pretraining``.
+    needs updates before its budget gives their number in ``pretraining``; one whose update is long
+    by itself, or draws many numbers, lowers ``updates_per_graph``.
     """
 
     pretraining: int = 0
+    updates_per_graph: int = 10
     _networks: Mapping[str, nn.Module]
     _optimizers: Mapping[str, torch.optim.Optimizer]
     _streams: LaneStreams
 
-    def stage(self, step: int) -> None:
-        """Copy a step's draws to where CUDA graphs read them."""
-        self._streams.stage(step, 1)
+    def stage(self, first: int, count: int) -> None:
+        """Tell CUDA graphs which steps come next."""
+        self._streams.stage(first, count)
+
+    def draw(self, first: int, count: int) -> None:
+        """Draw the numbers of the steps that were staged."""
+        self._streams.draw(count)
 
     def branch(self, step: int) -> Hashable | None:
         """Branch of a step; steps of a branch differ in their draws alone. None: no graph.

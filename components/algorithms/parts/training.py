@@ -99,16 +99,15 @@ def train_policies(
     seen = [_logged_histories(data) for data in datasets]
 
     def keep_snapshot(done: int, curves: Curves) -> bool:
-        if done in folders:
-            stack = learner.policy(cards[0])
-            for lane, (member, card) in enumerate(zip(members, cards, strict=True)):
-                own = replace(stack.card, dataset=card.dataset, steps=(done,))
-                policy = stack.lane(lane, own)
-                if not _sound(policy, seen[lane]):
-                    policy = stand_in(done, member, own)
-                folder = folders[done] / member
-                folder.mkdir(parents=True, exist_ok=True)
-                policy.save(folder)
+        stack = learner.policy(cards[0])
+        for lane, (member, card) in enumerate(zip(members, cards, strict=True)):
+            own = replace(stack.card, dataset=card.dataset, steps=(done,))
+            policy = stack.lane(lane, own)
+            if not _sound(policy, seen[lane]):
+                policy = stand_in(done, member, own)
+            folder = folders[done] / member
+            folder.mkdir(parents=True, exist_ok=True)
+            policy.save(folder)
         return False
 
     def stand_in(done: int, member: str, card: PolicyCard) -> Policy:
@@ -133,7 +132,7 @@ def train_policies(
     )
     if not loop.checkpoint_exists:
         keep_snapshot(0, Curves())
-    curves = loop.run(graphed(learner, device), keep_snapshot)
+    curves = loop.run(graphed(learner, device), keep_snapshot, folders)
     policies = [
         _one_stack(
             [Policy.load(folders[step] / member) for step in (0, *steps)], curves.ended_at(lane)

@@ -45,7 +45,8 @@ from components.models.supervised import (
     nothing_learned,
 )
 from components.training.cuda_graphs import graphed
-from components.training.loop import Curves, Schedule, TrainingLoop, adam
+from components.training.loop import Curves, TrainingLoop, adam
+from components.training.schedule import Schedule
 from components.training.state import (
     load_optimizer_state,
     optimizer_state,
@@ -60,6 +61,8 @@ VALIDATED = 2000  # approximate number of held-out windows in a validation durin
 
 class _EnsembleLearner:
     """Adapter of the ensemble to the common training loop."""
+
+    updates_per_graph = 1
 
     def __init__(
         self,
@@ -107,9 +110,12 @@ class _EnsembleLearner:
     def branch(self, step: int) -> str:
         return "all"
 
-    def stage(self, step: int) -> None:
-        self._streams.stage(step, 1)
-        self._schedule.follow(step)
+    def stage(self, first: int, count: int) -> None:
+        self._streams.stage(first, count)
+        self._schedule.stage(first, count)
+
+    def draw(self, first: int, count: int) -> None:
+        self._streams.draw(count)
 
     def update(self, step: int) -> dict[str, Tensor]:
         self._schedule.follow(step)
@@ -206,8 +212,6 @@ def fit_recurrent_ensemble(
     stride = max(5, len(windows.held_out) // VALIDATED)
 
     def validate(done: int, curves: Curves) -> bool:
-        if done % config.validate_every and done != config.updates:
-            return False
         losses = learner.validation_loss(learner.weight, learner.readout, stride).mean(dim=1)
         curves.add(done, {"model/validation_mse": losses})
         learner.keep_best(losses)
@@ -216,7 +220,11 @@ def fit_recurrent_ensemble(
 
     untrained = learner.validation_loss(learner.weight, learner.readout, stride).mean(dim=1)
     loop = TrainingLoop(config.updates, names, checkpoint, progress=monitor.progress)
-    curves = loop.run(graphed(learner, device), validate)
+    validated = {
+        *range(config.validate_every, config.updates, config.validate_every),
+        config.updates,
+    }
+    curves = loop.run(graphed(learner, device), validate, validated)
     ended = ended_at(curves, learner.best_loss)
     final = learner.validation_loss(learner.best_weight, learner.best_readout, stride=1)
     of_networks = zip(names, final.mean(dim=1), strict=True)

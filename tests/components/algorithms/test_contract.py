@@ -15,6 +15,9 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from components.policies.policy import Policy
+from components.training.cuda_graphs import GraphedLearner, lost_graphs
+from components.training.loop import TrainingLoop
+from components.training.recorded import RecordedGraphs
 from tests.components.algorithms.stacks import graded, learner, run
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import CPU, make_log, policy_card, relabelled
@@ -148,25 +151,26 @@ def test_state_has_lanes_first_and_round_trips(name: str, log: OfflineDataset) -
 
 
 @in_every_world
-@pytest.mark.parametrize("name", graded(ALGORITHMS, 1))
-def test_steps_of_a_branch_differ_in_what_is_drawn_alone(name: str, log: OfflineDataset) -> None:
-    """So that one CUDA graph does for all of them."""
-    one, other = (learner(name, [log], [0]) for _ in range(2))
-    step = 20
-    for made in (one, other):
-        run(made, step)
-    branch = one.branch(step)
-    if branch is None:
-        assert name == "morel"
-        return
-    later = next(n for n in range(step + 1, 100) if one.branch(n) == branch)
-    other.stage(step)
-    other._streams._staged = later
-    expected = one.update(step)
-    for metric, value in other.update(later).items():
-        assert torch.equal(value, expected[metric])
-    for key, tensor in other.state_dict().items():
-        assert torch.equal(tensor, one.state_dict()[key])
+@pytest.mark.parametrize("name", graded(ALGORITHMS, 4))
+def test_updates_follow_as_graphs_of_several(name: str, log: OfflineDataset) -> None:
+    """Steps of a branch differ in what is staged alone, and no update waits for the host."""
+    plain, made = (learner(name, [log] * 2, range(2)) for _ in range(2))
+    several = min(made.updates_per_graph, 4)
+    made.updates_per_graph = several
+    graphs = GraphedLearner(made, RecordedGraphs())
+    loop = TrainingLoop(34, "ab", log_every=8)
+    with lost_graphs() as lost:
+        expected, found = loop.run(plain), loop.run(graphs, at=())
+    assert lost == []
+    assert graphs.captured >= 1
+    for ours, theirs in zip(
+        (found.tensors(), graphs.state_dict()),
+        (expected.tensors(), plain.state_dict()),
+        strict=True,
+    ):
+        assert ours.keys() == theirs.keys()
+        for key, tensor in theirs.items():
+            assert torch.equal(ours[key], tensor), key
 
 
 def test_lanes_need_equal_shapes_and_dynamics() -> None:

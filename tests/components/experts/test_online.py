@@ -82,7 +82,8 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
     assert seen["rewards"][-1] == np.float32(rewards[0])
 
     # the update, on a batch from all transitions, the newest one included
-    rows = np.floor(random["row"][0].numpy() * (TINY.random_steps + 1)).astype(int)
+    row = made._ddpg._streams.at(TINY.random_steps)["row"]
+    rows = np.floor(row[0].numpy() * (TINY.random_steps + 1)).astype(int)
     batch = {name: torch.from_numpy(values[rows]) for name, values in seen.items()}
 
     def value(name: str, x: Tensor, actions: Tensor) -> Tensor:

@@ -1,4 +1,7 @@
-"""Updates that are replayed as graphs do what ordinary ones do; skipped where there is no GPU."""
+"""Updates that are replayed as graphs do what ordinary ones do; skipped where there is no GPU.
+
+What does not need a GPU is in `test_recorded.py`.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +16,8 @@ from components.models.recurrent_ensemble import fit as recurrent_fit
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from components.models.recurrent_ensemble.windows import TrainingWindows
 from components.models.supervised import StackedFit
-from components.training.cuda_graphs import GraphedLearner
+from components.training.cuda_graphs import CudaGraphs, GraphedLearner, lost_graphs
+from components.training.loop import TrainingLoop
 from tests.components.algorithms.stacks import learner
 from tests.components.models.test_supervised import Points, pulled
 from tests.components.synthetic import keys, make_log
@@ -29,7 +33,7 @@ UPDATES = 120
 
 def compare(make: Callable[[], Any]) -> None:
     """Train two of a kind, one by graphs: the same kernels, in workspaces of their own."""
-    ordinary, graphed = make(), GraphedLearner(make(), GPU)
+    ordinary, graphed = make(), GraphedLearner(make(), CudaGraphs(GPU))
     before = {key: tensor.clone() for key, tensor in ordinary.state_dict().items()}
     for step in range(UPDATES):
         expected = ordinary.update(step)
@@ -44,9 +48,23 @@ def compare(make: Callable[[], Any]) -> None:
     assert any(not torch.equal(tensor, before[key]) for key, tensor in state.items())
 
 
-@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "morel"])
+@pytest.mark.parametrize("name", ALGORITHMS)
 def test_replayed_updates_are_the_ordinary_ones(name: str) -> None:
     compare(lambda: learner(name, [LOG] * 3, range(3), device=GPU))
+
+
+@pytest.mark.parametrize("tf32", [False, True])
+def test_all_learners_are_captured_in_one_process(
+    tf32: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.backends.cuda.matmul, "allow_tf32", tf32)
+    with lost_graphs() as lost:
+        for name in ALGORITHMS:
+            made = learner(name, [LOG] * 3, range(3), device=GPU)
+            graphs = GraphedLearner(made, CudaGraphs(GPU))
+            TrainingLoop(UPDATES, "abc", log_every=20).run(graphs, at=())
+            assert graphs.captured, name
+    assert lost == []
 
 
 def test_replayed_fits_follow_their_schedules() -> None:
@@ -81,7 +99,7 @@ def test_what_cannot_be_captured_goes_on_as_it_is() -> None:
         made: StackedFit[Points] = kind(Points(2).to(GPU), 2, pulled, streams, learning_rate=0.1)
         return made
 
-    plain, waiting = fit(StackedFit), GraphedLearner(fit(Waiting), GPU)
+    plain, waiting = fit(StackedFit), GraphedLearner(fit(Waiting), CudaGraphs(GPU))
 
     def train() -> None:
         for step in range(10):

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from components.core.integrity import DamagedFileError
 from components.core.tensors import load_tensors, save_tensors
-from components.training.loop import Curves, Schedule, TrainingLoop, adam
+from components.training.loop import Curves, TrainingLoop
+from components.training.sums import MetricSums
 
 NAMES = ("a", "b", "c")
 DIGITS = {"a": 1.0, "b": 2.0, "c": 3.0}
@@ -190,18 +191,54 @@ def test_progress_rises_to_one() -> None:
     assert told[-1] == 1.0
 
 
-def test_a_learning_rate_changes_where_it_lies() -> None:
-    plain = adam([torch.zeros(2, requires_grad=True)], 0.1)
-    Schedule(plain, lambda step: 0.1 * step).follow(2)
-    assert plain.param_groups[0]["lr"] == 0.2
-    rate = torch.tensor(0.1)
-    stored = torch.optim.Adam([torch.zeros(2, requires_grad=True)], lr=rate, capturable=True)
-    schedule = Schedule(stored, lambda step: 0.1 * step)
-    schedule.follow(2)
-    assert stored.param_groups[0]["lr"] is rate
-    assert rate.item() == pytest.approx(0.2)
-    rate.fill_(7.0)  # a step's rate is written once: a captured update must not hold the writing
-    schedule.follow(2)
-    assert rate.item() == 7.0
-    schedule.follow(3)
-    assert rate.item() == pytest.approx(0.3)
+class Runner(Counter):
+    """Does several updates at once, and notes which."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.runs: list[tuple[int, int]] = []
+
+    def run_updates(self, first: int, count: int, sums: MetricSums) -> None:
+        self.runs.append((first, first + count))
+        for step in range(first, first + count):
+            sums.add(self.update(step))
+
+
+def test_a_run_of_updates_ends_at_the_next_event() -> None:
+    def note(done: int, curves: Curves) -> bool:
+        curves.add(done, {"note": torch.full((3,), float(done))})
+        return False
+
+    one_by_one, together, events = Counter(), Runner(), {6, 8, 11, 30}
+    expected = lanes(train(one_by_one, after=lambda d, c: d in events and note(d, c)))
+    curves = TrainingLoop(20, NAMES, log_every=8).run(together, note, events)
+    assert together.runs == [(0, 6), (6, 8), (8, 11), (11, 16), (16, 20)]
+    assert curves.of_lane(0)["note"][0] == [6, 8, 11]
+    assert torch.equal(together.total, one_by_one.total)
+    again = TrainingLoop(20, NAMES, log_every=4).run(Runner(), note, events)
+    assert lanes(again) == expected
+
+
+def test_without_numbers_a_call_follows_every_update() -> None:
+    made = Runner()
+    train(made, steps=3)
+    assert made.runs == [(0, 1), (1, 2), (2, 3)]
+
+
+def test_stopping_is_asked_for_at_events_alone() -> None:
+    made = Runner()
+    TrainingLoop(20, NAMES, log_every=5).run(made, lambda done, curves: True, range(7, 20, 7))
+    assert made.updates == 7
+
+
+def test_sums_stay_where_they_are() -> None:
+    sums = MetricSums()
+    sums.add({"a": torch.tensor([1.0]), "b": torch.tensor([5.0])})
+    place = sums._totals["a"]
+    sums.add({"a": torch.tensor([2.0])})
+    assert {name: mean.item() for name, mean in sums.means().items()} == {"a": 1.5, "b": 5.0}
+    sums.clear()
+    assert sums.means() == {}
+    sums.add({"a": torch.tensor([4.0])})
+    assert sums._totals["a"] is place
+    assert sums.means() == {"a": torch.tensor([4.0])}
