@@ -147,8 +147,9 @@ def fit(kind: str, settings: Settings) -> Iterator[Row]:
     if kind == "recurrent_ensemble":
         passes = 1 if settings.quick else _PASSES
         config, name = model.config(updates=passes, validate_every=passes), f"{passes} updates"
+        budget = "updates"
     else:
-        config, name = model.config(epochs=1), "an epoch"
+        config, name, budget = model.config(epochs=1), "an epoch", "epochs"
 
     def run(device: torch.device = settings.place) -> None:
         key = lane_key(dataset.card.name, kind, 0)
@@ -163,6 +164,13 @@ def fit(kind: str, settings: Settings) -> Iterator[Row]:
         floor=floor,
         bound=bound,
         note="with its validation",
+        rate=settings.rate(
+            "model_fitting",
+            kind,
+            lanes=1,
+            settings={budget: getattr(config, budget)},
+            transitions=dataset.transitions,
+        ),
     )
 
 
@@ -252,6 +260,7 @@ def evaluation(settings: Settings) -> Iterator[Row]:
         floor=floor,
         bound=bound,
         note="actor 256-256",
+        rate=settings.rate("evaluation", "td3_bc", lanes=1, states=count * states),
     )
 
 

@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -43,7 +44,30 @@ _RESULTS = Path(__file__).with_name("results")
 _MARK = "row: "
 _LONGEST = 300.0  # seconds of a benchmark; then it is stopped
 
+_TOGETHER = ("bc", "td3_bc", "cql", "lion")  # a small update, two usual ones and roll-outs
+
 Unit = Callable[[Settings], Iterator[Row]]
+
+
+def _together(settings: Settings) -> Iterator[Row]:
+    """Rows of learners as sweeps run them: five lanes, a thread each, in a process per core."""
+    count = settings.threads
+    own = dataclasses.replace(
+        settings,
+        threads=1,
+        processes=count,
+        only_lanes=(1 if settings.quick else 5,),
+        seconds=2 * settings.seconds,  # so that the processes meet
+        matrix_rate=settings.matrix_rate / count,
+        bandwidth=settings.bandwidth / count,
+    )
+    for name in _TOGETHER[: 1 if settings.quick else None]:
+        with ThreadPoolExecutor(count) as pool:
+            found = list(pool.map(lambda _, name=name: measured(name, own)[-1], range(count)))
+        slowest = min(found, key=lambda row: row.value or 0.0)
+        label = f"{slowest.name}, {count} processes of one thread"
+        note = slowest.note or "per process, the slowest"
+        yield dataclasses.replace(slowest, unit="side by side", name=label, note=note)
 
 
 def _units() -> dict[str, Unit]:
@@ -56,6 +80,7 @@ def _units() -> dict[str, Unit]:
         "start": paths.start_up,
         "evaluation": paths.evaluation,
         "recurrent": paths.recurrent_pass,
+        "together": _together,
     }
     units |= {f"fit-{kind}": partial(paths.fit, kind) for kind in MODELS}
     for name in ALGORITHMS:
@@ -117,6 +142,17 @@ def measured(name: str, settings: Settings, longest: float = _LONGEST) -> list[R
     return rows
 
 
+def _commit() -> str:
+    """The commit that is measured, marked where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        root = Path(__file__).resolve().parents[1]
+        found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()
+
+
 def _computer(settings: Settings) -> dict[str, object]:
     names = ("torch", "numpy", "mujoco", "gymnasium", "ray", "mlflow")
     described: dict[str, object] = {
@@ -127,6 +163,8 @@ def _computer(settings: Settings) -> dict[str, object]:
         described["GPU"] = torch.cuda.get_device_name(settings.device)
     described |= {
         "device": settings.device,
+        "model": processor(),
+        "commit": _commit(),
         "versions": ", ".join(
             [f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in names)]
         ),

@@ -131,6 +131,10 @@ class CostModel:
         """Whether such a node has been measured itself, not only others of its component."""
         return (component, kind) in self._found
 
+    def has(self, component: str) -> bool:
+        """Whether any node of a component has been measured."""
+        return any(of == component for of, _ in self._found)
+
     def seconds(self, nodes: Sequence[Node]) -> float:
         """Expected seconds of nodes computed in one call."""
         if not nodes:

@@ -109,7 +109,7 @@ class TaskContext:
         """Seconds that all the work takes at the pace of the fractions reported; None if unknown.
 
         What comes before the first and after the last of them does not count, such as loading data,
-        and so neither does the overhead of the call.
+        and so neither does the overhead of the call; preparations that are reported as 0 do.
         """
         if self._first is None or self._last[1] - self._first[1] < _PACED:
             return None
@@ -153,9 +153,10 @@ class TaskContext:
 
     def _reach(self, fraction: float) -> None:
         former, self._fraction = self._fraction, min(1.0, max(0.0, float(fraction)))
+        now = time.monotonic()
+        self._first = self._first or (now, self._fraction)
         if self._fraction > former:
-            self._last = time.monotonic(), self._fraction
-            self._first = self._first or self._last
+            self._last = now, self._fraction
 
     def _note_checkpoint(self, reached: float) -> None:
         """Notes how far a new checkpoint is, for whoever continues from it after a kill.

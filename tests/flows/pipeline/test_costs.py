@@ -114,6 +114,12 @@ def test_the_pace_of_a_task_leaves_out_what_comes_before_and_after(
     assert context.steady_seconds == pytest.approx(20.0)
     context = TaskContext(work=tmp_path)
     context.begin()
+    for when, fraction in ((410.0, 0.0), (420.0, 0.0), (440.0, 1.0)):
+        now = when
+        context.progress(fraction)
+    assert context.steady_seconds == 30.0, "preparations grow with the budget, too"
+    context = TaskContext(work=tmp_path)
+    context.begin()
     context.validated(0.5, loss=1.0)
     context.progress(0.6)
     assert context.steady_seconds is None, "seen over too small a part of the work"
