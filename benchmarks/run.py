@@ -16,6 +16,7 @@ import datetime
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 import time
@@ -27,7 +28,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks import learner_paths, paths
+from benchmarks import learner_paths, paths, pipeline_paths
 from benchmarks.floors import Limits
 from benchmarks.measure import processor
 from benchmarks.model_free import PEER
@@ -36,6 +37,7 @@ from benchmarks.records import Results, Row
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
+from flows.pipeline.signals import ending_signals, exit_code
 from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["UNITS", "main", "measured"]
@@ -63,7 +65,9 @@ def _together(settings: Settings) -> Iterator[Row]:
     )
     for name in _TOGETHER[: 1 if settings.quick else None]:
         with ThreadPoolExecutor(count) as pool:
-            found = list(pool.map(lambda _, name=name: measured(name, own)[-1], range(count)))
+            found = list(
+                pool.map(lambda _, name=name: measured(name, own, inner=True)[-1], range(count))
+            )
         slowest = min(found, key=lambda row: row.value or 0.0)
         label = f"{slowest.name}, {count} processes of one thread"
         note = slowest.note or "per process, the slowest"
@@ -76,8 +80,8 @@ def _units() -> dict[str, Unit]:
         "industrial": paths.industrial,
         "robots": paths.robot_rollouts,
         "dataset": paths.dataset_load,
-        "pipeline": paths.node_overhead,
-        "start": paths.start_up,
+        "pipeline": pipeline_paths.node_overhead,
+        "start": pipeline_paths.start_up,
         "evaluation": paths.evaluation,
         "recurrent": paths.recurrent_pass,
         "together": _together,
@@ -109,8 +113,17 @@ def _serve(name: str, settings: Settings) -> None:
         print(_MARK + json.dumps(dataclasses.asdict(row)), flush=True)
 
 
-def measured(name: str, settings: Settings, longest: float = _LONGEST) -> list[Row]:
-    """Rows of a benchmark, measured in a process of its own; of a failure one that says so."""
+def measured(
+    name: str, settings: Settings, longest: float = _LONGEST, *, inner: bool = False
+) -> list[Row]:
+    """Rows of a benchmark, measured in a process of its own; of a failure one that says so.
+
+    Args:
+        name: Of the benchmark.
+        settings: How to measure.
+        longest: Seconds after which it is stopped, with all that it has started.
+        inner: Whether another benchmark asks for it, with which it is to be stopped.
+    """
     if name.endswith(("-d3rlpy", "-jax")) and not Path(settings.peer).is_file():
         return [Row(unit=name, name=name, note="left out: `make peers` installs its peer")]
     command = [sys.executable, "-m", "benchmarks.run", "--serve", name]
@@ -118,8 +131,15 @@ def measured(name: str, settings: Settings, longest: float = _LONGEST) -> list[R
     own = os.environ | {"OMP_NUM_THREADS": str(settings.threads), "OMP_WAIT_POLICY": "ACTIVE"}
     root = Path(__file__).resolve().parents[1]
     process = subprocess.Popen(
-        command, cwd=root, env=own, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command,
+        cwd=root,
+        env=own,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=not inner,
     )
+    stop = process.kill if inner else partial(os.killpg, process.pid, signal.SIGKILL)
     reason = ""
     try:
         out, errors = process.communicate(timeout=longest)
@@ -127,11 +147,11 @@ def measured(name: str, settings: Settings, longest: float = _LONGEST) -> list[R
             last = (errors.strip() or "no message").splitlines()[-1]
             reason = f"failed with exit code {process.returncode}: {last}"
     except subprocess.TimeoutExpired:
-        process.kill()
+        stop()
         out, errors = process.communicate()
         reason = f"stopped after {longest:.0f} s"
     except BaseException:
-        process.kill()
+        stop()
         raise
     lines = [line[len(_MARK) :] for line in out.splitlines() if line.startswith(_MARK)]
     rows = [Row(**json.loads(line)) for line in lines]
@@ -175,6 +195,13 @@ def _computer(settings: Settings) -> dict[str, object]:
     if settings.quick:
         described["quick"] = "sizes for tests; the numbers mean nothing"
     return described
+
+
+def _differs(old: Mapping[str, object], new: Mapping[str, object]) -> str:
+    """What results of both cannot stand in one table for; empty if they can."""
+    names = ("processor", "GPU", "device", "versions", "commit", "quick")
+    changed = [name for name in names if old.get(name) != new.get(name)]
+    return f"{changed[0]} {old.get(changed[0], 'unknown')}" if changed else ""
 
 
 def _settings(options: argparse.Namespace) -> Settings:
@@ -239,16 +266,20 @@ def main() -> None:
     except ValueError as error:
         parser.error(str(error))
     settings = _settings(options)
-    results = old or Results(_computer(settings))
+    computer = _computer(settings)
+    if old is not None and (changed := _differs(old.computer, computer)):
+        parser.error(f"{options.resume} was begun with {changed}; give the same, or begin anew.")
+    results = old or Results(computer)
     now = datetime.datetime.now(tz=datetime.UTC)
     kind = settings.place.type + ("-quick" if options.quick else "")
     path = options.resume or options.results / f"{now:%Y-%m-%dT%H%M%S}-{kind}.json"
     try:
-        _measure(options.only or list(UNITS), settings, results, path)
+        with ending_signals():
+            _measure(options.only or list(UNITS), settings, results, path)
     except KeyboardInterrupt:
         begun = f"; --resume {path} goes on" if results.finished else ""
         print(f"\nStopped{begun}.", file=sys.stderr)
-        raise SystemExit(130) from None
+        raise SystemExit(exit_code()) from None
     print(f"\n{results.markdown()}\nStored: {path} and {path.with_suffix('.md').name}")
 
 

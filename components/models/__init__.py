@@ -90,7 +90,7 @@ MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
             behaviour_policy.BehaviourPolicyConfig,
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
-            _per_epoch(0.5),
+            _per_epoch(0.2),
             version=6,
         ),
         "gaussian_behaviour": ModelKind(
