@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -47,6 +48,7 @@ algorithm.NAME.KEY, ...), show_settings=true prints them.
   format=text          or json
   store=mlruns         whose finished nodes count
   runner.cpus=2        processors to use; all by default
+  show_settings=true   print every setting of the plan as YAML and stop
 """
 
 _RESULTS = CONF.parent / "benchmarks" / "results"
@@ -260,6 +262,8 @@ def _as_json(found: Projected) -> str:
 
 def _run(words: tuple[ProjectionSettings, Settings]) -> int:
     own, settings = words
+    for note in settings.notes:
+        print(f"Note: {note}", file=sys.stderr)
     if settings.show_settings:
         print(settings_yaml(settings), end="")
         return 0
