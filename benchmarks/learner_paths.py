@@ -30,10 +30,10 @@ from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from components.training.cuda_graphs import graphed
 
-__all__ = ["IN_JAX", "beside_d3rlpy", "beside_jax", "jax_command", "updates"]
+__all__ = ["IN_JAX", "RATES", "beside_d3rlpy", "beside_jax", "jax_command", "updates"]
 
 _OVERRIDES: Mapping[str, Mapping[str, object]] = MappingProxyType({"mopo": {"rollouts": 2000}})
-_RATES: Mapping[str, Mapping[str, int]] = MappingProxyType(
+RATES: Mapping[str, Mapping[str, int]] = MappingProxyType(
     {"mopo": {"rollouts": 1}, "morel": {"cloning": 0}}
 )
 """Settings under which a plan's cost is that of the updates timed here, and of one lane."""
@@ -169,7 +169,7 @@ def updates(algorithm: str, settings: Settings) -> Iterator[Row]:
                 "policy_training",
                 algorithm,
                 lanes=lanes,
-                settings={"updates": 1, **_RATES.get(algorithm, {})},
+                settings={"updates": 1, **RATES.get(algorithm, {})},
             ),
         )
 

@@ -46,11 +46,12 @@ def _door(name: str, words: Sequence[str]) -> str:
 
 
 def measured_hours(records: Sequence[Mapping[str, Any]]) -> tuple[Hours, float]:
-    """Hours by component and kind, and hours from the first start to the last end."""
+    """Processor hours by component and kind, and hours from the first start to the last end."""
     found: Hours = {}
     for record in records:
         name = record["component"], kind_of(record["tags"])
-        found[name] = found.get(name, 0.0) + record["seconds"] / _HOUR
+        used = min(record["seconds"], record["share"] * record["cpu_seconds"])
+        found[name] = found.get(name, 0.0) + used / _HOUR
     first = min(record["started"] for record in records)
     return found, (max(record["finished"] for record in records) - first) / _HOUR
 

@@ -1,5 +1,6 @@
 """`flows.project`: measured rates become hours of plans on machines, and say what they rest on."""
 
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.learner_paths import RATES
 from benchmarks.projection import compared
 from benchmarks.records import Results, Row, row_of_seconds
 from benchmarks.settings import Settings as Measurement_
@@ -82,6 +84,18 @@ def test_what_benchmarks_tell_of_a_rate_can_be_read(tmp_path: Path) -> None:
     path = results(tmp_path / "r.json", row_of_seconds("u", "bc", [3.0, 1.0, 2.0], rate=told))
     [found] = read_rates(path).measurements
     assert (found.kind, found.seconds) == ("bc", 4.0)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_an_update_that_is_timed_costs_what_a_further_one_costs(name: str, tmp_path: Path) -> None:
+    settings = {"updates": 1, **RATES.get(name, {})}
+    path = results(tmp_path / "r.json", row(name, 1.0, lanes=1, threads=1, settings=settings))
+    [found] = read_rates(path).measurements
+    record, usual = ALGORITHMS[name], DataSizes()
+    config = record.config(**({"rollouts": 1} if name == "mopo" else {}))  # none are timed
+    more = dataclasses.replace(config, updates=2 * config.updates)
+    further = (record.cost(more, usual) - record.cost(config, usual)) / config.updates
+    assert found.cost == pytest.approx(further, rel=0.02)  # MOPO's single virtual step
 
 
 def test_finished_nodes_come_before_benchmarks_and_lend_them_their_overhead() -> None:
@@ -188,7 +202,8 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, word: str,
 def test_a_projection_is_compared_with_what_ran() -> None:
     share = {"component": "toys", "kind": "a", "core_hours": 2.0, "source": "guess"}
     told = {"machines": [{"slots": 2, "hours": 1.5, "shares": [share]}]}
-    record = {"component": "toys", "tags": {"algorithm": "a"}, "seconds": 3600.0}
+    record = {"component": "toys", "tags": {"algorithm": "a"}, "share": 0.5}
+    record |= {"seconds": 4000.0, "cpu_seconds": 7200.0}  # of both; the rest was waited
     ran = [
         record | {"started": 0.0, "finished": 3600.0},
         record | {"started": 60, "finished": 7200},
