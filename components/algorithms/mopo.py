@@ -49,6 +49,7 @@ from components.algorithms.parts.soft_actor_critic import SoftActorCritic
 from components.core.draws import Integers, Normal, UniformDouble
 from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
+from components.data.sizes import DataSizes
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.interface import Prediction
 from components.models.transition.model_environment import (
@@ -273,10 +274,10 @@ def percentile(values: Tensor, percent: int) -> Tensor:
     return values.kthvalue(rank, dim=1).values
 
 
-def _cost(config: Config) -> float:
+def _cost(config: Config, sizes: DataSizes) -> float:
     rounds = -(-config.updates // config.rollout_every)
     virtual = 3.5e-5 * float(rounds * config.rollouts * config.rollout_length)
-    return per_transition(5.6e-5)(config) + virtual
+    return per_transition(5.6e-5)(config, sizes) + virtual
 
 
 ALGORITHM: Final = Algorithm(

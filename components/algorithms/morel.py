@@ -67,6 +67,7 @@ from components.algorithms.parts.pessimistic_mdp import Detector, PessimisticMDP
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Choice, Draw, Normal, Order
 from components.core.random_streams import LaneStreams
+from components.data.sizes import DataSizes
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment
 from components.networks import lanewise_mean
@@ -303,8 +304,8 @@ class Learner(StackedLearner):
         )
 
 
-def _cost(config: Config) -> float:
-    return per_virtual_step(2.3e-4)(config) + 2.2e-3 * float(config.cloning)
+def _cost(config: Config, sizes: DataSizes) -> float:
+    return per_virtual_step(2.3e-4)(config, sizes) + 2.2e-3 * float(config.cloning)
 
 
 ALGORITHM: Final = Algorithm(

@@ -41,6 +41,7 @@ from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
 from components.core.random_streams import LaneStreams, spawn_generators
+from components.data.sizes import DataSizes
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
@@ -246,7 +247,7 @@ def _defined_mean(fitness: Tensor) -> Tensor:
     return fitness.where(fitness.isfinite(), torch.nan).nanmean(dim=1)
 
 
-def _cost(config: Config) -> float:
+def _cost(config: Config, sizes: DataSizes) -> float:
     steps = config.updates * config.particles * config.starts * config.horizon
     return 9e-7 * float(steps)
 
