@@ -32,7 +32,7 @@ def test_a_list_of_tensors_is_one_kernel_of_its_own_purpose() -> None:
     optimizer.step()  # makes its moments
     by_kind, _ = kernels.kernels(optimizer.step)
     assert dict(by_kind) == {"optimiser": 2}  # step counters, then parameters and moments
-    by_kind, _ = kernels.kernels(lambda: polyak_update(target, network, 0.1))
+    by_kind, _ = kernels.kernels(lambda: polyak_update([(target, network)], 0.1))
     assert dict(by_kind) == {"targets": 1}
 
 
