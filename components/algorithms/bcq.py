@@ -34,6 +34,7 @@ from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     needed,
     saturation,
@@ -127,8 +128,8 @@ class Learner(StackedLearner):
 
     def _perturb(self, actor: StackedMLP, observations: Tensor, generated: Tensor) -> Tensor:
         """Perturbed actions ``[L, B, N, A]``."""
-        shift = self._config.perturbation * torch.tanh(actor.over_actions(observations, generated))
-        return (generated + shift).clamp(-1.0, 1.0)
+        shift = torch.tanh(actor.over_actions(observations, generated))
+        return torch.add(generated, shift, alpha=self._config.perturbation).clamp(-1.0, 1.0)
 
     @torch.no_grad()
     def _generate(self, observations: Tensor, noise: Tensor) -> Tensor:
@@ -153,7 +154,7 @@ class Learner(StackedLearner):
         actions = self._perturb(self._actor_target, following, self._generate(following, noise))
         values = self._critics_target.over_actions(following, actions)
         best = soft_clipped_maximum(values, config.minimum_weight)
-        return batch.rewards + config.discount * batch.continues * best
+        return bootstrapped(batch, config.discount, best)
 
     def _actor_loss(self, batch: Batch, noise: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         generated = self._generate(batch.observations, noise)
@@ -181,8 +182,8 @@ class Learner(StackedLearner):
         descend(self._optimizers["critics"], critic_loss)
         actor_loss, metrics = self._actor_loss(batch, drawn["actor"])
         descend(self._optimizers["actor"], actor_loss)
-        polyak_update(self._actor_target, self._actor, self._config.target_rate)
-        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        moving = [(self._actor_target, self._actor), (self._critics_target, self._critics)]
+        polyak_update(moving, self._config.target_rate)
         return metrics | {
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),

@@ -39,6 +39,7 @@ from components.algorithms.parts.learner import (
     Scalars,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     saturation,
 )
@@ -161,7 +162,7 @@ class Learner(StackedLearner):
         drawn = self._actor.draw(self._actor(following), noise)
         values: Tensor = self._critics_target(following, drawn[0][:, :, 0]).amin(dim=1)
         ahead = values - config.alpha * self._divergence(following, drawn)
-        return batch.rewards + config.discount * batch.continues * ahead
+        return bootstrapped(batch, config.discount, ahead)
 
     def _actor_loss(
         self, batch: Batch, noise: Tensor, with_values: bool
@@ -175,7 +176,7 @@ class Learner(StackedLearner):
             "actor/saturated_share": saturation(drawn[0]),
         }
         if with_values:
-            values = self._critics(batch.observations, drawn[0][:, :, 0]).amin(dim=1)
+            values = self._critics.least(batch.observations, drawn[0][:, :, 0])
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
         return loss, metrics | {"actor/loss": loss.detach()}
@@ -215,7 +216,7 @@ class Learner(StackedLearner):
     def _improve(
         self, batch: Batch, drawn: dict[str, Tensor], *, with_values: bool
     ) -> dict[str, Tensor]:
-        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        polyak_update([(self._critics_target, self._critics)], self._config.target_rate)
         targets = self._targets(batch, drawn["next"])
         critic_loss = self._critics.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critics"], critic_loss)

@@ -165,7 +165,7 @@ class Learner(SoftActorCritic):
 
         def act(observations: Tensor) -> Tensor:
             parameters = self._actor(observations)
-            return self._actor.draw(parameters, next(noise)[:, :, None])[0].squeeze(2)
+            return self._actor.sample(parameters, next(noise)[:, :, None])[0].squeeze(2)
 
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
