@@ -57,6 +57,7 @@ COMMON_HELP = """\
   runner.threads=1                threads of a task
   runner.device=auto              or cpu, cuda; auto takes a GPU where there is one
   runner.gpu_share=0.5            share of a GPU that a task takes
+  runner.precision=high           or highest, medium: of a GPU's products; high allows TF32
   repair=recompute                what is damaged in the store is made again; or refuse: stop there
 
 Every other setting that show_settings=true prints is given the same way, as KEY.KEY=VALUE, except
@@ -147,7 +148,7 @@ def make_executor(settings: Settings) -> Executor:
         raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
     if runner.executor == "serial":
         check_threads(runner.threads, min(available_cpus(), runner.cpus or available_cpus()))
-        return SerialExecutor(device=device, threads=runner.threads)
+        return SerialExecutor(device=device, threads=runner.threads, precision=runner.precision)
     return RayExecutor(
         cpus=runner.cpus,
         threads=runner.threads,
@@ -155,6 +156,7 @@ def make_executor(settings: Settings) -> Executor:
         gpus=torch.cuda.device_count() if device == "cuda" else 0,
         gpus_per_task=runner.gpu_share,
         root=settings.store.absolute(),
+        precision=runner.precision,
     )
 
 

@@ -136,6 +136,7 @@ class RunnerSettings(StrictModel):
     threads: int = Field(ge=1)
     device: Literal["auto", "cpu", "cuda"]
     gpu_share: float = Field(gt=0, le=1)
+    precision: Literal["highest", "high", "medium"]
     stack: Literal["pair", "algorithm"]
     repair: Literal["recompute", "refuse"]
 

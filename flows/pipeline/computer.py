@@ -12,7 +12,14 @@ import sys
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cpu_seconds", "device_model", "hardware", "processor", "software"]
+__all__ = [
+    "cpu_seconds",
+    "device_model",
+    "hardware",
+    "processor",
+    "set_precision",
+    "software",
+]
 
 _PACKAGES = ("mujoco", "numpy", "torch")
 
@@ -67,6 +74,21 @@ def device_model(device: str) -> str:
     if device == "cuda" and "torch" in sys.modules:
         return str(sys.modules["torch"].cuda.get_device_name())
     return processor()
+
+
+def set_precision(device: str, precision: str) -> None:
+    """Set how a GPU multiplies matrices of float32 in this process, if it has loaded PyTorch.
+
+    PyTorch's own setting of that name would also change the products of a CPU, to bfloat16 with
+    "medium".
+
+    Args:
+        device: "cpu", which keeps full precision, or "cuda".
+        precision: "highest"; "high" and "medium" allow TF32, to which medium adds nothing on
+            today's GPUs.
+    """
+    if device == "cuda" and "torch" in sys.modules:
+        sys.modules["torch"].backends.cuda.matmul.allow_tf32 = precision != "highest"
 
 
 @cache

@@ -220,10 +220,15 @@ class _Run:
             del self.waiting[group.name]
             self.running[group.name] = group
             self.store.clear_progress(group.name)
-            device, threads = self.executor.device, self.executor.threads
             self.executor.submit(
                 GroupCall.of(
-                    group.name, self.store.root, group.nodes, device, threads, self.repairs
+                    group.name,
+                    self.store.root,
+                    group.nodes,
+                    self.executor.device,
+                    self.executor.threads,
+                    self.repairs,
+                    self.executor.precision,
                 )
             )
             self.run_state.submitted(group.name)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from components.core.integrity import DamagedFileError, damaged_path
+from components.core.integrity import DamagedFileError, damaged_path, load_json
 from components.core.sealed import content_digest, seal
 from components.core.version import code_version
-from flows.pipeline.computer import cpu_seconds, hardware, software
+from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
 from flows.pipeline.costs import RULES
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
@@ -36,6 +36,7 @@ class GroupCall:
             role, tags, cost.
         device: "cpu" or "cuda".
         threads: Threads to use.
+        precision: Of a GPU's products, see :func:`.computer.set_precision`.
         repairs: Whether damaged work is thrown away and begun anew; it fails otherwise.
     """
 
@@ -46,6 +47,7 @@ class GroupCall:
     device: str = "cpu"
     threads: int = 1
     repairs: bool = True
+    precision: str = "highest"
 
     @classmethod
     def of(
@@ -56,6 +58,7 @@ class GroupCall:
         device: str = "cpu",
         threads: int = 1,
         repairs: bool = True,
+        precision: str = "highest",
     ) -> "GroupCall":
         """Describes nodes, all of one task, as plain data."""
         described = tuple(
@@ -72,7 +75,8 @@ class GroupCall:
             }
             for node in nodes
         )
-        return cls(group, str(root), nodes[0].task, described, device, threads, repairs)
+        task = nodes[0].task
+        return cls(group, str(root), task, described, device, threads, repairs, precision)
 
     @property
     def title(self) -> str:
@@ -218,6 +222,7 @@ def _make(
     if "torch" in sys.modules:
         # A reused process keeps the thread count of its first task otherwise.
         sys.modules["torch"].set_num_threads(call.threads)
+    set_precision(call.device, call.precision)
     context.begin()
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
@@ -271,7 +276,9 @@ def _describe(
     """Write the record of an artifact; `content` digests what was read, by role."""
     wall = usage["wall_seconds"]
     described = {name: node[name] for name in ("key", "name", "component", "version", "config")}
-    described |= {name: node[name] for name in ("inputs", "tags", "cost")}
+    described |= {name: node[name] for name in ("inputs", "cost")}
+    further = load_json(out / "tags.json") if (out / "tags.json").exists() else {}
+    described |= {"tags": {**further, **node["tags"]}}
     described |= {"content": dict(content)} | dict(usage)
     described |= {"share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": code_version()}

@@ -24,6 +24,7 @@ from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
+from flows.report.graphs import graph_notes
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -42,6 +43,7 @@ class Report:
         without_system: Datasets whose policies cannot be evaluated.
         fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
+        graphs: Sentences about trainings that have lost their CUDA graphs.
     """
 
     files: Sequence[Path]
@@ -50,6 +52,7 @@ class Report:
     without_system: Sequence[str]
     fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
+    graphs: Sequence[str] = ()
 
     @property
     def notes(self) -> list[str]:
@@ -61,6 +64,7 @@ class Report:
             *undefined_notes(self.summaries),
             *(f"{name} {reason}" for name in self.without_system),
             *self.software,
+            *self.graphs,
         ]
 
     @property
@@ -109,6 +113,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
         _without_system(plan),
         fit_notes(done, store),
         software_notes(aggregations, store),
+        graph_notes(done, store),
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]

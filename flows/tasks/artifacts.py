@@ -4,7 +4,8 @@ Hyperparameter search imports this module: it must reach no environment and no a
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,12 +13,14 @@ import numpy as np
 
 from components.core.integrity import DamagedFileError
 from components.data.dataset import OfflineDataset
+from components.training.cuda_graphs import lost_graphs
 from flows.pipeline.task import Job
 
 __all__ = [
     "config_object",
     "inherit_datasets",
     "note_dataset",
+    "noting_lost_graphs",
     "open_dataset",
     "percent",
     "read_input",
@@ -72,6 +75,16 @@ def note_dataset(job: Job, dataset: OfflineDataset) -> None:
     card = dataset.card
     entry = {"name": card.name, "digest": card.digest[:32], "source": card.environment}
     write_numbers(job.out / "datasets.json", [entry])
+
+
+@contextmanager
+def noting_lost_graphs(jobs: Sequence[Job]) -> Iterator[None]:
+    """Tag what the block makes of jobs, if it trains without a CUDA graph that it should have."""
+    with lost_graphs() as lost:
+        yield
+    for job in jobs if lost else ():
+        reasons = "; ".join(dict.fromkeys(lost))
+        write_numbers(job.out / "tags.json", {"graphs": f"lost: {reasons}"})
 
 
 def config_object(kind: type, fields: Mapping[str, Any]) -> Any:

@@ -24,7 +24,13 @@ from components.experts.training import train_experts
 from components.policies.policy import Policy
 from components.training.divergence import DivergedError
 from flows.pipeline.task import Job, TaskContext
-from flows.tasks.artifacts import config_object, read_input, write_curves, write_numbers
+from flows.tasks.artifacts import (
+    config_object,
+    noting_lost_graphs,
+    read_input,
+    write_curves,
+    write_numbers,
+)
 from flows.tasks.divergence import diverged
 from flows.tasks.memory import keep_freed_memory
 
@@ -42,16 +48,17 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
     """Expert training: `policy/` holds the best policy of a seed; one lane per job."""
     keep_freed_memory()
     first = jobs[0].config
-    policies, returns, curves = train_experts(
-        first["robot"],
-        config_object(ExpertConfig, first["training"]),
-        [lane_key("expert", first["robot"], job.config["seed"]) for job in jobs],
-        [job.key for job in jobs],
-        lambda copies: _robots(first, copies, context.threads),
-        work=context.work,
-        device=torch.device(context.device),
-        progress=context.progress,
-    )
+    with noting_lost_graphs(jobs):
+        policies, returns, curves = train_experts(
+            first["robot"],
+            config_object(ExpertConfig, first["training"]),
+            [lane_key("expert", first["robot"], job.config["seed"]) for job in jobs],
+            [job.key for job in jobs],
+            lambda copies: _robots(first, copies, context.threads),
+            work=context.work,
+            device=torch.device(context.device),
+            progress=context.progress,
+        )
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):
         if isinstance(policy, DivergedError):
             settings = job.config["training"]

@@ -22,6 +22,7 @@ from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
     note_dataset,
+    noting_lost_graphs,
     open_dataset,
     write_curves,
     write_numbers,
@@ -37,14 +38,15 @@ def fit_model(jobs: Sequence[Job], context: TaskContext) -> None:
         kind = MODELS[job.config["model"]]
         dataset = open_dataset(job)
         try:
-            fit = kind.fit(
-                dataset,
-                config_object(kind.config, job.config["settings"]),
-                lane_key(dataset.card.name, job.config["model"], job.config["seed"]),
-                torch.device(context.device),
-                context.work / f"{job.key}.safetensors",
-                Monitor(context.progress, context.validated),
-            )
+            with noting_lost_graphs([job]):
+                fit = kind.fit(
+                    dataset,
+                    config_object(kind.config, job.config["settings"]),
+                    lane_key(dataset.card.name, job.config["model"], job.config["seed"]),
+                    torch.device(context.device),
+                    context.work / f"{job.key}.safetensors",
+                    Monitor(context.progress, context.validated),
+                )
             (job.out / "model").mkdir()
             fit.model.save(job.out / "model")
             _check_finite(fit, job.out / "model")

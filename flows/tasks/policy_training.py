@@ -21,6 +21,7 @@ from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
     note_dataset,
+    noting_lost_graphs,
     open_dataset,
     read_input,
     write_curves,
@@ -52,17 +53,18 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
     )
     policies: Sequence[Policy | DivergedError]
     try:
-        policies, curves = train_policies(
-            algorithm,
-            algorithm.learner(config, inputs),
-            datasets,
-            [job.key for job in jobs],
-            updates=config.updates,
-            snapshots=jobs[0].config["snapshots"],
-            work=context.work,
-            progress=context.progress,
-            device=torch.device(context.device),
-        )
+        with noting_lost_graphs(jobs):
+            policies, curves = train_policies(
+                algorithm,
+                algorithm.learner(config, inputs),
+                datasets,
+                [job.key for job in jobs],
+                updates=config.updates,
+                snapshots=jobs[0].config["snapshots"],
+                work=context.work,
+                progress=context.progress,
+                device=torch.device(context.device),
+            )
     except DivergedError as error:
         policies, curves = [error] * len(jobs), Curves()
     for lane, (job, policy) in enumerate(zip(jobs, policies, strict=True)):

@@ -206,7 +206,14 @@ class _Search:
             self.store.clear_progress(group)
             executor = self.executor
             self.executor.submit(
-                GroupCall.of(group, self.store.root, [node], executor.device, executor.threads)
+                GroupCall.of(
+                    group,
+                    self.store.root,
+                    [node],
+                    executor.device,
+                    executor.threads,
+                    precision=executor.precision,
+                )
             )
 
     # Running trials

@@ -18,6 +18,7 @@ from flows.planning.benchmark import benchmark_plan
 from flows.render import find_policy, load_render_settings
 from flows.report import report
 from flows.report.films import film_notes
+from flows.report.graphs import graph_notes
 from flows.report.software import software_notes
 from tests.flows.pipeline.toys import record_of
 
@@ -188,6 +189,25 @@ def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
         "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
     }
+
+
+def test_lost_graphs_are_noted_under_the_table(tmp_path: Path) -> None:
+    words = ["profile=smoke", "algorithms=[bc]", "seeds=[0,1,2,3]"]
+    plan, store = benchmark_plan(load_settings(words)), ArtifactStore(tmp_path)
+    policies = [node for node in plan if node.component == "policy_training"]
+    for node in policies:
+        write_node(store, node, None)
+    assert graph_notes(plan.by_component()["policy_training"], store) == []
+    for node in policies:
+        record = store.record(node.key) | {"tags": {"graphs": "lost: updates: no room"}}
+        write_json(store.path(node.key) / "node.json", record)
+    [note] = graph_notes(policies, store)
+    assert note == (
+        "Trained without CUDA graphs, which may take ten times as long: "
+        f"{', '.join(node.name for node in policies[:3])} and 1 more (updates: no room)."
+    )
+    written = report.Report([], pd.DataFrame(), [], [], graphs=[note])
+    assert written.lines() == [f"Note: {note}"]
 
 
 def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:

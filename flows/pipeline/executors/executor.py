@@ -15,11 +15,13 @@ class Executor(Protocol):
         slots: Groups that can run at once.
         device: "cpu" or "cuda".
         threads: Threads per group.
+        precision: Of a GPU's products of float32, see :func:`.computer.set_precision`.
     """
 
     slots: int
     device: str
     threads: int
+    precision: str
 
     def start(self, notify: Callable[[str], None], watch: Callable[[], None] = ...) -> None:
         """Gets ready.

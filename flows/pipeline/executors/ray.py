@@ -37,6 +37,7 @@ class RayExecutor:
         gpus_per_task: float = 0.5,
         retries: int = 3,
         root: Path | None = None,
+        precision: str = "highest",
     ) -> None:
         """Describes the cluster; nothing starts before `start`.
 
@@ -48,12 +49,14 @@ class RayExecutor:
             gpus_per_task: Share of a GPU that one group occupies if the device is "cuda".
             retries: How often a group is started again after its worker died.
             root: Folder of the store; every machine of a cluster is asked whether it sees it.
+            precision: Of a GPU's products of float32.
 
         Raises:
             PipelineError: a task would take more processors than there are.
         """
         self.threads = threads
         self.device = device
+        self.precision = precision
         self._cpus = cpus or available_cpus()
         self._address = os.environ.get("RAY_ADDRESS")
         if not self._address:

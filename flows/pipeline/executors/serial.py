@@ -10,11 +10,19 @@ __all__ = ["SerialExecutor"]
 class SerialExecutor:
     """Runs every group in this process, one after the other."""
 
-    def __init__(self, *, threads: int = 1, device: str = "cpu", slots: int = 1) -> None:
-        """Takes threads per group and the device; `slots` serves estimates only."""
+    def __init__(
+        self,
+        *,
+        threads: int = 1,
+        device: str = "cpu",
+        slots: int = 1,
+        precision: str = "highest",
+    ) -> None:
+        """Takes threads per group, device and precision; `slots` serves estimates only."""
         self.slots = slots
         self.threads = threads
         self.device = device
+        self.precision = precision
         self._calls: list[GroupCall] = []
         self._watch: Callable[[], None] = lambda: None
 

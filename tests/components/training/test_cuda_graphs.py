@@ -54,16 +54,17 @@ def test_replayed_updates_are_the_ordinary_ones(name: str) -> None:
 
 
 @pytest.mark.parametrize("tf32", [False, True])
-def test_all_learners_are_captured_in_one_process(
-    tf32: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch.backends.cuda.matmul, "allow_tf32", tf32)
-    with lost_graphs() as lost:
-        for name in ALGORITHMS:
-            made = learner(name, [LOG] * 3, range(3), device=GPU)
-            graphs = GraphedLearner(made, CudaGraphs(GPU))
-            TrainingLoop(UPDATES, "abc", log_every=20).run(graphs, at=())
-            assert graphs.captured, name
+def test_all_learners_are_captured_in_one_process(tf32: bool) -> None:
+    torch.backends.cuda.matmul.allow_tf32 = tf32
+    try:
+        with lost_graphs() as lost:
+            for name in ALGORITHMS:
+                made = learner(name, [LOG] * 3, range(3), device=GPU)
+                graphs = GraphedLearner(made, CudaGraphs(GPU))
+                TrainingLoop(UPDATES, "abc", log_every=20).run(graphs, at=())
+                assert graphs.captured, name
+    finally:
+        torch.backends.cuda.matmul.allow_tf32 = False
     assert lost == []
 
 

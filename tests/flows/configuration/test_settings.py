@@ -169,6 +169,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("runner.device=tpu", "'auto', 'cpu' or 'cuda'"),
         ("runner.cpus=0", "greater than or equal to 1"),
         ("runner.gpu_share=0", "greater than 0"),
+        ("runner.precision=low", "'highest', 'high' or 'medium'"),
         ("algorithm.lion.updates=0", "algorithm.lion: updates, .* at least 1"),
         ("algorithm.lion.discount=1.5", r"discount must lie in \(0, 1\]"),
         (
@@ -351,3 +352,12 @@ def test_a_task_s_share_of_a_gpu_reaches_ray(monkeypatch: pytest.MonkeyPatch) ->
     executor = make_executor(load_settings(["runner.gpu_share=0.1"]))
     assert isinstance(executor, RayExecutor)
     assert (executor.device, executor._gpus) == ("cuda", 0.1)
+
+
+@pytest.mark.parametrize("kind", ["ray", "serial"])
+@pytest.mark.parametrize(
+    ("words", "found"), [([], "high"), (["runner.precision=highest"], "highest")]
+)
+def test_precision_reaches_the_executor(kind: str, words: list[str], found: str) -> None:
+    settings = load_settings([f"runner.executor={kind}", "runner.device=cpu", *words])
+    assert make_executor(settings).precision == found

@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 
-from flows.pipeline.computer import processor, software
+from flows.pipeline.computer import processor, set_precision, software
 
 
 def test_a_task_on_the_processor() -> None:
@@ -28,3 +28,27 @@ def test_what_a_task_has_not_used_is_not_named(monkeypatch: pytest.MonkeyPatch) 
     found = software("cpu")
     assert found.keys() >= {"mujoco", "device"}
     assert found.keys().isdisjoint({"torch", "float32"})
+
+
+@pytest.mark.parametrize(
+    ("device", "precision", "found"),
+    [
+        ("cuda", "highest", "highest"),
+        ("cuda", "high", "high"),
+        ("cuda", "medium", "high"),  # which is all that GPUs have
+        ("cpu", "medium", "highest"),
+    ],
+)
+def test_precision_is_that_of_a_gpu_alone(device: str, precision: str, found: str) -> None:
+    on_the_processor = torch.backends.mkldnn.matmul.fp32_precision
+    try:
+        set_precision(device, precision)
+        assert torch.get_float32_matmul_precision() == found
+        assert torch.backends.mkldnn.matmul.fp32_precision == on_the_processor
+    finally:
+        set_precision("cuda", "highest")
+
+
+def test_without_pytorch_there_is_no_precision_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "torch")
+    set_precision("cuda", "high")

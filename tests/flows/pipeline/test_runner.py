@@ -103,6 +103,7 @@ def test_node_json_says_what_the_artifact_is(store: ArtifactStore, log: Path) ->
     assert "Python" in record["hardware"]
     assert record["software"]["numpy"] == np.__version__
     assert record["software"]["device"] in record["hardware"]
+    assert record["tags"]["colour"] == "blue", "of the task, beside those of the node"
 
 
 def test_failure_stops_only_what_needs_it(store: ArtifactStore, log: Path) -> None:
