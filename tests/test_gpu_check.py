@@ -18,10 +18,8 @@ SETTINGS = GpuSettings(quick=True, threads=1, seconds=0.01, repetitions=2)
 def test_checks_and_rates_run_on_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu_paths, "_names", lambda settings: ["td3_bc", "mopo"])
     for check in (gpu_paths.draws, gpu_paths.twins, gpu_paths.captures):
-        assert [(row.name, row.note) for row in check(SETTINGS)] == [
-            ("td3_bc", "ok"),
-            ("mopo", "ok"),
-        ]
+        found = [(row.name, row.note) for row in check(SETTINGS)]
+        assert found == [("td3_bc", "ok"), ("mopo", "ok")]
     rate, *kernels = gpu_rates.rates("td3_bc", SETTINGS)
     assert rate.name == "td3_bc, 1 lane(s)"
     assert rate.value > 0.0
@@ -70,7 +68,7 @@ def test_a_failed_check_is_the_exit_code(
 ) -> None:
     def measured(name: str, settings: GpuSettings, longest: float, module: str) -> list[Row]:
         assert module == "benchmarks.gpu_check"
-        assert longest <= 100.0
+        assert longest <= 120.0
         return [Row(unit=name, name=name, note=note)]
 
     monkeypatch.setattr(run, "measured", measured)
@@ -82,9 +80,8 @@ def test_a_failed_check_is_the_exit_code(
 def test_what_no_time_is_left_for_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ticking: Iterator[int] = iter(range(0, 100_000, 30))
     monkeypatch.setattr(gpu_check.time, "monotonic", lambda: float(next(ticking)))
-    monkeypatch.setattr(
-        run, "measured", lambda name, *a, **k: [Row(unit=name, name=name, note="ok")]
-    )
+    fine = [Row(unit="check", name="check", note="ok")]
+    monkeypatch.setattr(run, "measured", lambda *words, module: fine)
     found = check(monkeypatch, tmp_path, "--minutes", "2", "--only", "draws", "twins", "captures")
     assert [row.note for row in found.rows][-1] == "left out: no time was left"
     assert found.rows[0].note == "ok"
