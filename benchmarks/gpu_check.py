@@ -30,10 +30,11 @@ from pathlib import Path
 import torch
 
 from benchmarks import learner_paths, run
-from benchmarks.gpu_paths import FAILED, GpuSettings, captures, draws, twins
+from benchmarks.gpu_paths import FAILED, captures, draws, twins
 from benchmarks.gpu_rates import TARGETS, rates
 from benchmarks.model_free import PEER
 from benchmarks.records import Results, Row
+from benchmarks.settings import Settings
 
 __all__ = ["UNITS", "main"]
 
@@ -66,12 +67,12 @@ def main() -> None:
     options = parser.parse_args()
     if options.serve is not None:
         warnings.simplefilter("ignore", UserWarning)  # lost graphs are told in rows
-        run.serve(options.serve[0], GpuSettings(**json.loads(options.serve[1])), UNITS)
+        run.serve(options.serve[0], Settings(**json.loads(options.serve[1])), UNITS)
         return
     if options.device.startswith("cuda") and not torch.cuda.is_available():
         parser.error("this PyTorch sees no GPU; --device cpu --quick tries the script itself.")
     usual = run.settings_of(options, everything=False)
-    settings = GpuSettings(**dataclasses.asdict(usual))
+    settings = dataclasses.replace(usual, only_lanes=(1,) if options.quick else (5, 80))
     results = Results(run.described(settings))
     now = datetime.datetime.now(tz=datetime.UTC)
     path = options.results / f"{now:%Y-%m-%dT%H%M%S}-gpu-check.json"

@@ -29,7 +29,6 @@ from flows.pipeline.computer import set_precision
 
 __all__ = [
     "FAILED",
-    "GpuSettings",
     "captures",
     "draws",
     "models_of",
@@ -73,16 +72,6 @@ _SMALL: Mapping[str, Any] = MappingProxyType(  # where a configuration has such 
 _SMALLER: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {"morel": {"cloning": 40}, "brac": {"cloning": 0.1}}
 )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GpuSettings(Settings):
-    """How a GPU is measured: at 5 and 80 lanes."""
-
-    @property
-    def lanes(self) -> tuple[int, ...]:
-        """Numbers of lanes to measure."""
-        return (1,) if self.quick else (5, 80)
 
 
 def small_settings(name: str, quick: bool) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from torch.profiler import ProfilerActivity, profile
 
 from benchmarks import learner_paths
-from benchmarks.gpu_paths import GpuSettings, models_of, small_settings, stack, with_graphs
+from benchmarks.gpu_paths import models_of, small_settings, stack, with_graphs
 from benchmarks.records import Row, row_of_seconds
+from benchmarks.settings import Settings
 from components.algorithms.parts.learner import PolicyLearner
 from components.training.cuda_graphs import lost_graphs
 from components.training.sums import MetricSums
@@ -38,7 +39,7 @@ _TOP = 12  # kernels shown of each learner
 class _Training:
     """Runs of updates one after the other, from the middle of the budget on."""
 
-    def __init__(self, learner: PolicyLearner, updates: int, settings: GpuSettings) -> None:
+    def __init__(self, learner: PolicyLearner, updates: int, settings: Settings) -> None:
         self.several = learner.updates_per_graph
         self._step = learner.pretraining + updates // 2 // self.several * self.several
         self._program, self._sums = with_graphs(learner, settings), MetricSums()
@@ -49,7 +50,7 @@ class _Training:
         self._step += count
 
 
-def rates(name: str, settings: GpuSettings) -> Iterator[Row]:
+def rates(name: str, settings: Settings) -> Iterator[Row]:
     """Rows of a learner for each number of lanes, and of the kernels of the last one."""
     set_precision(settings.place.type, "high")
     dataset = settings.dataset()
@@ -86,7 +87,7 @@ def _judged(name: str, lanes: int, rate: float) -> str:
     return f"{said}; target {asked:,.1f} {'met' if rate >= asked else 'missed'}"
 
 
-def _kernels(name: str, training: _Training, settings: GpuSettings) -> Iterator[Row]:
+def _kernels(name: str, training: _Training, settings: Settings) -> Iterator[Row]:
     """Rows of what the device, or a processor, spends its time on."""
     updates = 2 * training.several
     activities = [ProfilerActivity.CUDA] if settings.on_a_gpu else []

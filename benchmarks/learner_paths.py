@@ -19,20 +19,24 @@ import torch
 
 from benchmarks.floors import Work, work_of_updates
 from benchmarks.lanes import UNTRAINED
-from benchmarks.model_free import BLOCK, peer_command, run, write_transitions
+from benchmarks.model_free import peer_command, run, write_transitions
 from benchmarks.records import Row, row_of_seconds
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
-from components.core.random_streams import lane_key
+from components.core.random_streams import BLOCK, lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from components.training.cuda_graphs import graphed
 
-__all__ = ["IN_JAX", "beside_d3rlpy", "beside_jax", "jax_command", "updates"]
+__all__ = ["IN_JAX", "RATES", "beside_d3rlpy", "beside_jax", "jax_command", "updates"]
 
 _OVERRIDES: Mapping[str, Mapping[str, object]] = MappingProxyType({"mopo": {"rollouts": 2000}})
+RATES: Mapping[str, Mapping[str, int]] = MappingProxyType(
+    {"mopo": {"rollouts": 1}, "morel": {"cloning": 0}}
+)
+"""Settings under which a plan's cost is that of the updates timed here, and of one lane."""
 _NOTES = MappingProxyType({"mopo": "between roll-outs", "wsbc": "an update is an iteration"})
 _ALTERNATING = ("td3_bc", "lambda_td3_bc")  # every second of whose updates has no actor
 _PEER_UPDATES = MappingProxyType(  # d3rlpy's per timing, about a second
@@ -161,6 +165,12 @@ def updates(algorithm: str, settings: Settings) -> Iterator[Row]:
             floor=floor,
             bound=bound,
             note=_NOTES.get(algorithm, ""),
+            rate=settings.rate(
+                "policy_training",
+                algorithm,
+                lanes=lanes,
+                settings={"updates": 1, **RATES.get(algorithm, {})},
+            ),
         )
 
 

@@ -8,8 +8,8 @@ same allocator settings, the same transitions, layers, batch and sample sizes, a
 state is timed: past the warm-ups of BEAR and CQL.
 
 A step of d3rlpy is what its `fit` does without logger and progress bar. It samples from a table of
-stacked histories, ours gathers them from the frames. Both draw their own random numbers, ours for
-50 steps at once: the clock starts with such a draw, so ours pays for at least as many as it uses.
+stacked histories, ours gathers them from the frames. Both draw random numbers, ours for some steps
+at once: the clock starts with such a draw, so ours pays for at least as many as it uses.
 Where the two implement an algorithm differently, each keeps its own way: d3rlpy's CQL bootstraps
 from the mean action, and its BEAR updates a temperature that is switched off.
 """
@@ -35,6 +35,7 @@ from benchmarks.lanes import program
 from benchmarks.measure import computer, markdown
 from benchmarks.peer_d3rlpy import COUNTERPARTS
 from components.algorithms import ALGORITHMS
+from components.core.random_streams import BLOCK
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
@@ -57,7 +58,7 @@ __all__ = [
 _ROOT = Path(__file__).resolve().parents[1]
 PEER = _ROOT / ".venv-peers" / "bin" / "python"
 SEEDS = 5
-BLOCK = 50  # steps whose random numbers our learners draw at once
+
 WARM_UP = 10  # updates before the clock starts
 _UPDATES = MappingProxyType(  # per timing, 5 to 10 s each: one lane, five lanes, d3rlpy
     {

@@ -1,11 +1,7 @@
-"""The hot paths beside learners: environments, fits, evaluation, loading, pipeline, start-up."""
+"""The hot paths beside learners and pipeline: environments, fits, evaluation, loading."""
 
 import itertools
-import os
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -15,7 +11,7 @@ import mujoco
 import numpy as np
 import torch
 
-from benchmarks import environment, pipeline, recurrent, robots, wsbc
+from benchmarks import environment, plain_peers, recurrent, robots, wsbc
 from benchmarks.floors import Work, operations
 from benchmarks.lanes import UNTRAINED
 from benchmarks.records import Row, row_of_seconds
@@ -41,14 +37,11 @@ __all__ = [
     "evaluation",
     "fit",
     "industrial",
-    "node_overhead",
     "recurrent_pass",
     "robot_rollouts",
-    "start_up",
     "swarm_peer",
 ]
 
-_ROOT = Path(__file__).resolve().parents[1]
 _PASSES = 100  # updates of the recurrent ensemble's fit
 
 
@@ -147,8 +140,9 @@ def fit(kind: str, settings: Settings) -> Iterator[Row]:
     if kind == "recurrent_ensemble":
         passes = 1 if settings.quick else _PASSES
         config, name = model.config(updates=passes, validate_every=passes), f"{passes} updates"
+        budget = "updates"
     else:
-        config, name = model.config(epochs=1), "an epoch"
+        config, name, budget = model.config(epochs=1), "an epoch", "epochs"
 
     def run(device: torch.device = settings.place) -> None:
         key = lane_key(dataset.card.name, kind, 0)
@@ -163,7 +157,22 @@ def fit(kind: str, settings: Settings) -> Iterator[Row]:
         floor=floor,
         bound=bound,
         note="with its validation",
+        rate=settings.rate(
+            "model_fitting",
+            kind,
+            lanes=1,
+            settings={budget: getattr(config, budget)},
+            transitions=dataset.transitions,
+        ),
     )
+    if kind == "behaviour_policy" and not settings.on_a_gpu:
+        yield row_of_seconds(
+            "fits of supervised models",
+            f"{kind}, {name} of {dataset.transitions:,} transitions",
+            settings.timings(plain_peers.clone_epoch(dataset, config)),
+            peer="plain PyTorch loop",
+            note="without its validation, observations made beforehand",
+        )
 
 
 def recurrent_pass(settings: Settings) -> Iterator[Row]:
@@ -245,13 +254,26 @@ def evaluation(settings: Settings) -> Iterator[Row]:
 
     floor, bound = Work(operations(lambda: run(torch.device("cpu")))).floor(settings.limits)
     states = protocol.trajectories * protocol.horizon
+    name = f"{count} snapshots, {states:,} states each"
     yield row_of_seconds(
         "evaluation",
-        f"{count} snapshots, {states:,} states each",
+        name,
         settings.timings(run, warm=True),
         floor=floor,
         bound=bound,
         note="actor 256-256",
+        rate=settings.rate("evaluation", "td3_bc", lanes=1, states=count * states),
+    )
+    times = count * protocol.trajectories
+    plain = plain_peers.evaluation_loop(
+        card.environment, dict(card.environment_parameters), widths[1:-1], protocol.horizon
+    )
+    yield row_of_seconds(
+        "evaluation",
+        name,
+        [times * seconds for seconds in settings.timings(plain)],
+        peer="loop over one Gymnasium environment",
+        note=f"one trajectory timed, times {times:,}",
     )
 
 
@@ -279,51 +301,3 @@ def dataset_load(settings: Settings) -> Iterator[Row]:
                 floor=floor,
                 bound="reading its files",
             )
-
-
-def node_overhead(settings: Settings) -> Iterator[Row]:
-    """What the pipeline adds to a node that does nothing."""
-    nodes = 4 if settings.quick else 40
-    found: dict[str, list[float]] = {}
-    for _ in range(settings.repetitions):
-        for name, seconds in pipeline.seconds_per_plan(nodes, 1).items():
-            found.setdefault(name, []).append(seconds / nodes)
-    for name, timings in found.items():
-        yield row_of_seconds("pipeline, per empty node", name, timings, measure="ms")
-
-
-def start_up(settings: Settings) -> Iterator[Row]:
-    """From the command to the first node that begins: imports, plan, database, executor."""
-    for executor, repeats in (("serial", settings.repetitions), ("ray", 1)):
-        if settings.quick and executor == "ray":
-            continue
-        timings = []
-        for _ in range(repeats):
-            with tempfile.TemporaryDirectory() as folder:
-                timings.append(_until_first_node(Path(folder), executor))
-        name = f"smoke profile, {executor} executor"
-        yield row_of_seconds("seconds until the first node starts", name, timings)
-
-
-def _until_first_node(folder: Path, executor: str) -> float:
-    """Seconds until the store has a work folder; the run then goes on to its end."""
-    plan = ("profile=smoke", "datasets=[mediocre-0.2]", "algorithms=[bc]")
-    command = [sys.executable, "-m", "flows.full_benchmark", *plan]
-    command += [f"runner.executor={executor}", f"store={folder / 'store'}"]
-    own = {name: value for name, value in os.environ.items() if name != "MLFLOW_TRACKING_URI"}
-    own["OMP_WAIT_POLICY"] = "PASSIVE"
-    with (folder / "errors").open("w+") as errors:
-        begin = time.perf_counter()
-        process = subprocess.Popen(
-            command, cwd=_ROOT, env=own, stdout=subprocess.DEVNULL, stderr=errors
-        )
-        taken, work = None, folder / "store" / "work"
-        while process.poll() is None:
-            if taken is None and work.is_dir() and any(work.iterdir()):
-                taken = time.perf_counter() - begin
-            time.sleep(0.005 if taken is None else 0.1)
-        if process.returncode or taken is None:
-            errors.seek(0)
-            last = (errors.read().strip() or "no message").splitlines()[-1]
-            raise RuntimeError(f"the run ended with exit code {process.returncode}: {last}")
-    return taken

@@ -34,6 +34,7 @@ class Row:
         bound: What sets the floor.
         above: How many times slower than the floor.
         note: Anything further, such as an error.
+        rate: What projections read of it, see :mod:`flows.planning.rates`; None: nothing.
     """
 
     unit: str
@@ -47,6 +48,7 @@ class Row:
     bound: str = ""
     above: float | None = None
     note: str = ""
+    rate: Mapping[str, Any] | None = None
 
     @property
     def seconds(self) -> float:
@@ -67,6 +69,7 @@ def row_of_seconds(
     bound: str = "",
     peer: str = "",
     note: str = "",
+    rate: Mapping[str, Any] | None = None,
 ) -> Row:
     """A row made of timings.
 
@@ -80,6 +83,7 @@ def row_of_seconds(
         bound: What sets the floor.
         peer: Whose program, empty for ours.
         note: Anything further.
+        rate: For projections; the seconds are added to it.
     """
     middle = median(timings)
     scale = 1e3 if measure.startswith("ms") else 1.0
@@ -99,6 +103,7 @@ def row_of_seconds(
         bound=bound if floor else "",
         above=middle / floor if floor else None,
         note=note,
+        rate=None if rate is None else {**rate, "seconds": middle},
     )
 
 

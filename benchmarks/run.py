@@ -16,17 +16,19 @@ import datetime
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 import torch
 
-from benchmarks import learner_paths, paths
+from benchmarks import learner_paths, paths, pipeline_paths
 from benchmarks.floors import Limits
 from benchmarks.measure import processor
 from benchmarks.model_free import PEER
@@ -35,6 +37,7 @@ from benchmarks.records import Results, Row
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
+from flows.pipeline.signals import ending_signals, exit_code
 from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["RESULTS", "UNITS", "Unit", "described", "main", "measured", "serve", "settings_of"]
@@ -43,7 +46,32 @@ RESULTS = Path(__file__).with_name("results")
 _MARK = "row: "
 _LONGEST = 300.0  # seconds of a benchmark; then it is stopped
 
+_TOGETHER = ("bc", "td3_bc", "cql", "lion")  # a small update, two usual ones and roll-outs
+
 Unit = Callable[[Settings], Iterator[Row]]
+
+
+def _together(settings: Settings) -> Iterator[Row]:
+    """Rows of learners as sweeps run them: five lanes, a thread each, in a process per core."""
+    count = settings.threads
+    own = dataclasses.replace(
+        settings,
+        threads=1,
+        processes=count,
+        only_lanes=(1 if settings.quick else 5,),
+        seconds=2 * settings.seconds,  # so that the processes meet
+        matrix_rate=settings.matrix_rate / count,
+        bandwidth=settings.bandwidth / count,
+    )
+    for name in _TOGETHER[: 1 if settings.quick else None]:
+        with ThreadPoolExecutor(count) as pool:
+            found = list(
+                pool.map(lambda _, name=name: measured(name, own, inner=True)[-1], range(count))
+            )
+        slowest = min(found, key=lambda row: row.value or 0.0)
+        label = f"{slowest.name}, {count} processes of one thread"
+        note = slowest.note or "per process, the slowest"
+        yield dataclasses.replace(slowest, unit="side by side", name=label, note=note)
 
 
 def _units() -> dict[str, Unit]:
@@ -52,10 +80,11 @@ def _units() -> dict[str, Unit]:
         "industrial": paths.industrial,
         "robots": paths.robot_rollouts,
         "dataset": paths.dataset_load,
-        "pipeline": paths.node_overhead,
-        "start": paths.start_up,
+        "pipeline": pipeline_paths.node_overhead,
+        "start": pipeline_paths.start_up,
         "evaluation": paths.evaluation,
         "recurrent": paths.recurrent_pass,
+        "together": _together,
     }
     units |= {f"fit-{kind}": partial(paths.fit, kind) for kind in MODELS}
     for name in ALGORITHMS:
@@ -85,9 +114,22 @@ def serve(name: str, settings: Settings, units: Mapping[str, Unit] = UNITS) -> N
 
 
 def measured(
-    name: str, settings: Settings, longest: float = _LONGEST, module: str = "benchmarks.run"
+    name: str,
+    settings: Settings,
+    longest: float = _LONGEST,
+    *,
+    inner: bool = False,
+    module: str = "benchmarks.run",
 ) -> list[Row]:
-    """Rows of a benchmark, measured in a process of its own; of a failure one that says so."""
+    """Rows of a benchmark, measured in a process of its own; of a failure one that says so.
+
+    Args:
+        name: Of the benchmark.
+        settings: How to measure.
+        longest: Seconds after which it is stopped, with all that it has started.
+        inner: Whether another benchmark asks for it, with which it is to be stopped.
+        module: Whose `--serve` measures it.
+    """
     if name.endswith(("-d3rlpy", "-jax")) and not Path(settings.peer).is_file():
         return [Row(unit=name, name=name, note="left out: `make peers` installs its peer")]
     command = [sys.executable, "-m", module, "--serve", name]
@@ -95,8 +137,15 @@ def measured(
     own = os.environ | {"OMP_NUM_THREADS": str(settings.threads), "OMP_WAIT_POLICY": "ACTIVE"}
     root = Path(__file__).resolve().parents[1]
     process = subprocess.Popen(
-        command, cwd=root, env=own, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command,
+        cwd=root,
+        env=own,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=not inner,
     )
+    stop = process.kill if inner else partial(os.killpg, process.pid, signal.SIGKILL)
     reason = ""
     try:
         out, errors = process.communicate(timeout=longest)
@@ -104,11 +153,11 @@ def measured(
             last = (errors.strip() or "no message").splitlines()[-1]
             reason = f"failed with exit code {process.returncode}: {last}"
     except subprocess.TimeoutExpired:
-        process.kill()
+        stop()
         out, errors = process.communicate()
         reason = f"stopped after {longest:.0f} s"
     except BaseException:
-        process.kill()
+        stop()
         raise
     lines = [line[len(_MARK) :] for line in out.splitlines() if line.startswith(_MARK)]
     rows = [Row(**json.loads(line)) for line in lines]
@@ -117,6 +166,17 @@ def measured(
         reason = reason.replace(str(Path.home()), "~").replace("|", "/")
         rows.append(Row(unit=rows[-1].unit if rows else name, name=name, note=reason))
     return rows
+
+
+def _commit() -> str:
+    """The commit that is measured, marked where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        root = Path(__file__).resolve().parents[1]
+        found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()
 
 
 def described(settings: Settings) -> dict[str, object]:
@@ -129,6 +189,8 @@ def described(settings: Settings) -> dict[str, object]:
         described["GPU"] = torch.cuda.get_device_name(settings.device)
     described |= {
         "device": settings.device,
+        "model": processor(),
+        "commit": _commit(),
         "versions": ", ".join(
             [f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in names)]
         ),
@@ -139,6 +201,13 @@ def described(settings: Settings) -> dict[str, object]:
     if settings.quick:
         described["quick"] = "sizes for tests; the numbers mean nothing"
     return described
+
+
+def _differs(old: Mapping[str, object], new: Mapping[str, object]) -> str:
+    """What results of both cannot stand in one table for; empty if they can."""
+    names = ("processor", "GPU", "device", "versions", "commit", "quick")
+    changed = [name for name in names if old.get(name) != new.get(name)]
+    return f"{changed[0]} {old.get(changed[0], 'unknown')}" if changed else ""
 
 
 def settings_of(options: argparse.Namespace, everything: bool) -> Settings:
@@ -203,16 +272,20 @@ def main() -> None:
     except ValueError as error:
         parser.error(str(error))
     settings = settings_of(options, options.all)
-    results = old or Results(described(settings))
+    computer = described(settings)
+    if old is not None and (changed := _differs(old.computer, computer)):
+        parser.error(f"{options.resume} was begun with {changed}; give the same, or begin anew.")
+    results = old or Results(computer)
     now = datetime.datetime.now(tz=datetime.UTC)
     kind = settings.place.type + ("-quick" if options.quick else "")
     path = options.resume or options.results / f"{now:%Y-%m-%dT%H%M%S}-{kind}.json"
     try:
-        _measure(options.only or list(UNITS), settings, results, path)
+        with ending_signals():
+            _measure(options.only or list(UNITS), settings, results, path)
     except KeyboardInterrupt:
         begun = f"; --resume {path} goes on" if results.finished else ""
         print(f"\nStopped{begun}.", file=sys.stderr)
-        raise SystemExit(130) from None
+        raise SystemExit(exit_code()) from None
     print(f"\n{results.markdown()}\nStored: {path} and {path.with_suffix('.md').name}")
 
 

@@ -27,6 +27,8 @@ class Settings:
         longest: Seconds that a row may be expected to take, up to five lanes twice as many; one
             beyond it is left out.
         everything: Measure 80 lanes also without a GPU, and leave nothing out.
+        only_lanes: Numbers of lanes to measure instead of the usual ones.
+        processes: That compute the same at the same time.
         quick: As small as it gets, for tests; the numbers mean nothing.
         peer: The Python of the peers' environment.
         matrix_rate: See :class:`.Limits`.
@@ -39,6 +41,8 @@ class Settings:
     repetitions: int = 3
     longest: float = 25.0
     everything: bool = False
+    only_lanes: tuple[int, ...] = ()
+    processes: int = 1
     quick: bool = False
     peer: str = ""
     matrix_rate: float = 0.0
@@ -62,9 +66,16 @@ class Settings:
     @property
     def lanes(self) -> tuple[int, ...]:
         """Numbers of lanes to measure."""
+        if self.only_lanes:
+            return tuple(self.only_lanes)
         if self.quick:
             return (1,)
         return (1, 5, 20, 80) if self.on_a_gpu or self.everything else (1, 5, 20)
+
+    def rate(self, component: str, kind: str, **details: object) -> dict[str, object]:
+        """What projections must know of a row, beside its seconds, see `flows.planning.rates`."""
+        what = {"component": component, "kind": kind, "device": self.place.type}
+        return what | {"threads": self.threads, "processes": self.processes} | details
 
     def dataset(self) -> OfflineDataset:
         """The log that all of them read: `mediocre-0.2`, cut to 20 trajectories of 1,000 steps."""

@@ -207,7 +207,7 @@ def run_sweep(
     found = audit(plan, store)
     if not repairs:
         found.refuse()
-    seconds = display.show_plan(plan, store, executor.slots, found)
+    seconds = display.show_plan(plan, store, executor.slots, found, executor.device)
     pending = form_groups(plan, (n.key for n in plan if n.key not in found.finished), store)
     if not os.environ.get("RAY_ADDRESS"):  # a cluster's computers may be larger
         check_capacity(pending, total_memory(executor.device), settings.store)

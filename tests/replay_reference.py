@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from components.environments.industrial.benchmark import IndustrialBenchmark
-from components.environments.industrial.noise import squash
+from components.environments.industrial.noise import saturate, squash
 
 __all__ = ["COLUMNS", "TOLERANCE", "RecordedNoise", "main", "read_recording", "replay"]
 
@@ -68,7 +68,7 @@ class RecordedNoise:
         """The reference draws normal(2.4, 0.4), and only when the fatigue has saturated."""
         if not saturated[0]:
             return np.zeros(1)
-        return np.array([(self._random.normal(2.4, 0.4) - 2.4) / 0.4])
+        return saturate(np.array([(self._random.normal(2.4, 0.4) - 2.4) / 0.4]))
 
     def consumption(self) -> Array:
         """The reference subtracts its noise."""

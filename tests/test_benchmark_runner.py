@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import lanes, learner_paths, run
+from benchmarks import lanes, learner_paths, plain_peers, run
 from benchmarks.floors import Limits, Work, operations, work_of_updates
 from benchmarks.model_free import PEER
 from benchmarks.records import Results, Row, row_of_seconds
@@ -20,6 +20,7 @@ from benchmarks.settings import Settings
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
+from components.models import MODELS
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +149,60 @@ def test_a_benchmark_that_fails_or_hangs_is_a_row_that_says_so() -> None:
     assert row.note.startswith("failed with exit code 1: RuntimeError")
     [row] = run.measured("evaluation", settings, longest=0.01)
     assert row.note == "stopped after 0 s"
+
+
+def test_a_run_that_was_stopped_goes_on_with_the_same_code_and_computer_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def measured(name: str, settings: Settings, longest: float) -> list[Row]:
+        asked.append(name)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return [Row(unit=name, name=name, note="made up")]
+
+    def start(*words: str) -> None:
+        command = ["run", "--quick", "--threads", "1", "--results", str(tmp_path), *words]
+        monkeypatch.setattr(sys, "argv", command)
+        run.main()
+
+    monkeypatch.setattr(run, "measured", measured)
+    with pytest.raises(SystemExit) as ended:
+        start("--only", "industrial", "robots", "dataset")
+    assert ended.value.code == 130
+    [stored] = tmp_path.glob("*.json")
+    assert f"--resume {stored} goes on" in capsys.readouterr().err
+    monkeypatch.setattr(run, "_commit", lambda: "another")
+    with pytest.raises(SystemExit) as ended:
+        start("--resume", str(stored))
+    assert ended.value.code == 2
+    assert "was begun with commit " in capsys.readouterr().err
+    monkeypatch.undo()
+    monkeypatch.setattr(run, "measured", measured)
+    start("--only", "industrial", "robots", "dataset", "--resume", str(stored))
+    assert asked == ["industrial", "robots", "robots", "dataset"]
+    assert Results.read(stored).finished == ["industrial", "robots", "dataset"]
+
+
+@pytest.mark.slow(8)
+def test_learners_side_by_side_say_what_a_core_is_worth() -> None:
+    settings = Settings(quick=True, threads=2, seconds=0.01, matrix_rate=1e9, bandwidth=1e9)
+    [row] = run.measured("together", settings)
+    assert row.name == "bc, 1 lane(s), 2 processes of one thread"
+    assert row.rate is not None
+    assert (row.rate["processes"], row.rate["threads"], row.rate["kind"]) == (2, 1, "bc")
+    assert row.rate["seconds"] > 0.0
+
+
+def test_peers_that_loop_do_the_work_that_ours_does(log: OfflineDataset) -> None:
+    config = MODELS["behaviour_policy"].config(epochs=1)
+    plain_peers.clone_epoch(log, config)()
+    card = log.card
+    loop = plain_peers.evaluation_loop(
+        card.environment, dict(card.environment_parameters), (8,), horizon=3
+    )
+    assert loop() < 0.0  # rewards of the Industrial Benchmark are costs
 
 
 def _jax() -> Path:

@@ -263,18 +263,18 @@ def test_the_clock_runs_past_the_warm_up_and_starts_with_a_draw_of_random_number
     settings = {"hidden": config.hidden, "batch": config.batch}
     if hasattr(config, "vae_hidden"):
         settings["vae_hidden"] = (8,)
-    at, fill = LaneStreams.at, LaneStreams._fill
+    at, stage = LaneStreams.at, LaneStreams.stage
 
     def watched_at(self: LaneStreams, step: int) -> dict[str, torch.Tensor]:
         steps.append(step)
         return at(self, step)
 
-    def watched_fill(self: LaneStreams, number: int) -> None:
+    def watched_stage(self: LaneStreams, first: int, count: int) -> None:
         draws.append(steps[-1])
-        fill(self, number)
+        stage(self, first, count)
 
     monkeypatch.setattr(LaneStreams, "at", watched_at)
-    monkeypatch.setattr(LaneStreams, "_fill", watched_fill)
+    monkeypatch.setattr(LaneStreams, "stage", watched_stage)
     assert model_free.own_seconds(algorithm, log, 2, 3, settings) > 0
     assert steps == list(range(steps[0], steps[0] + model_free.WARM_UP + 3))
     assert draws == [steps[0], steps[model_free.WARM_UP]]

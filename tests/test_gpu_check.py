@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from benchmarks import gpu_check, gpu_paths, gpu_rates, run
-from benchmarks.gpu_paths import FAILED, GpuSettings
+from benchmarks.gpu_paths import FAILED
 from benchmarks.records import Results, Row
+from benchmarks.settings import Settings
 from components.training.cuda_graphs import GraphedLearner
 
-SETTINGS = GpuSettings(quick=True, threads=1, seconds=0.01, repetitions=2)
+SETTINGS = Settings(quick=True, threads=1, seconds=0.01, repetitions=2)
 
 
 @pytest.mark.slow(8)
@@ -66,7 +67,7 @@ def check(monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str) -> Results
 def test_a_failed_check_is_the_exit_code(
     note: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def measured(name: str, settings: GpuSettings, longest: float, module: str) -> list[Row]:
+    def measured(name: str, settings: Settings, longest: float, module: str) -> list[Row]:
         assert module == "benchmarks.gpu_check"
         assert longest <= 120.0
         return [Row(unit=name, name=name, note=note)]

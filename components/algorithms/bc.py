@@ -87,7 +87,7 @@ ALGORITHM: Final = Algorithm(
     name="bc",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(6e-6),
     frame_epsilon=1e-3,
 )

@@ -34,12 +34,14 @@ from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     needed,
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import (
     Critics,
@@ -115,9 +117,9 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(config.batch),
-                "vae": normal_draw(config.batch, latent),
-                "target": normal_draw(config.batch, config.target_actions, latent),
-                "actor": normal_draw(config.batch, 1, latent),
+                "vae": Normal(config.batch, latent),
+                "target": Normal(config.batch, config.target_actions, latent),
+                "actor": Normal(config.batch, 1, latent),
             },
             device,
         )
@@ -126,8 +128,8 @@ class Learner(StackedLearner):
 
     def _perturb(self, actor: StackedMLP, observations: Tensor, generated: Tensor) -> Tensor:
         """Perturbed actions ``[L, B, N, A]``."""
-        shift = self._config.perturbation * torch.tanh(actor.over_actions(observations, generated))
-        return (generated + shift).clamp(-1.0, 1.0)
+        shift = torch.tanh(actor.over_actions(observations, generated))
+        return torch.add(generated, shift, alpha=self._config.perturbation).clamp(-1.0, 1.0)
 
     @torch.no_grad()
     def _generate(self, observations: Tensor, noise: Tensor) -> Tensor:
@@ -152,7 +154,7 @@ class Learner(StackedLearner):
         actions = self._perturb(self._actor_target, following, self._generate(following, noise))
         values = self._critics_target.over_actions(following, actions)
         best = soft_clipped_maximum(values, config.minimum_weight)
-        return batch.rewards + config.discount * batch.continues * best
+        return bootstrapped(batch, config.discount, best)
 
     def _actor_loss(self, batch: Batch, noise: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         generated = self._generate(batch.observations, noise)
@@ -180,8 +182,8 @@ class Learner(StackedLearner):
         descend(self._optimizers["critics"], critic_loss)
         actor_loss, metrics = self._actor_loss(batch, drawn["actor"])
         descend(self._optimizers["actor"], actor_loss)
-        polyak_update(self._actor_target, self._actor, self._config.target_rate)
-        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        moving = [(self._actor_target, self._actor), (self._critics_target, self._critics)]
+        polyak_update(moving, self._config.target_rate)
         return metrics | {
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),
@@ -213,7 +215,7 @@ ALGORITHM: Final = Algorithm(
     name="bcq",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(3.3e-4),
     frame_epsilon=1e-3,
 )

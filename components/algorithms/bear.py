@@ -43,12 +43,14 @@ from components.algorithms.parts.learner import (
     Scalars,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     needed,
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import (
     Critics,
@@ -125,9 +127,11 @@ def mean_discrepancy(x: Tensor, y: Tensor, kernel: str, sigma: float) -> Tensor:
     """
 
     def mean_kernel(u: Tensor, v: Tensor) -> Tensor:
-        difference = u[:, :, :, None] - v[:, :, None]
-        apart = difference.abs() if kernel == "laplacian" else difference.square()
-        return torch.exp(-apart.sum(dim=-1) / (2.0 * sigma)).mean(dim=(2, 3))
+        if kernel == "laplacian":
+            apart = torch.cdist(u, v, p=1.0)
+        else:
+            apart = (u[:, :, :, None] - v[:, :, None]).square().sum(dim=-1)
+        return torch.exp(apart * (-0.5 / sigma)).mean(dim=(2, 3))
 
     squared = mean_kernel(x, x) + mean_kernel(y, y) - 2.0 * mean_kernel(x, y)
     return (squared + 1e-6).clamp(min=0.0).sqrt()
@@ -165,10 +169,10 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(batch),
-                "vae": normal_draw(batch, latent),
-                "target": normal_draw(batch, config.target_actions, acted),
-                "generated": normal_draw(batch, matched, latent),
-                "actor": normal_draw(batch, matched, acted),
+                "vae": Normal(batch, latent),
+                "target": Normal(batch, config.target_actions, acted),
+                "generated": Normal(batch, matched, latent),
+                "actor": Normal(batch, matched, acted),
             },
             device,
         )
@@ -179,7 +183,7 @@ class Learner(StackedLearner):
         self, observations: Tensor, proximity: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
         """Actions of the current policies, see :class:`.PolicyLearner`."""
-        candidates, _, _ = self._actor.draw(self._actor(observations), needed(noise, "noise"))
+        candidates, _ = self._actor.sample(self._actor(observations), needed(noise, "noise"))
         return self._critics.best_action(observations, candidates)
 
     # -- losses -----------------------------------------------------------------------------
@@ -188,10 +192,10 @@ class Learner(StackedLearner):
     def _targets(self, batch: Batch, noise: Tensor) -> Tensor:
         """Bootstrapped values ``[L, B]`` of the logged transitions."""
         config, following = self._config, batch.next_observations
-        actions, _, _ = self._actor.draw(self._actor(following), noise)
+        actions, _ = self._actor.sample(self._actor(following), noise)
         values = self._critics_target.over_actions(following, actions)
         best = soft_clipped_maximum(values, config.minimum_weight)
-        return batch.rewards + config.discount * batch.continues * best
+        return bootstrapped(batch, config.discount, best)
 
     def _actor_loss(
         self, batch: Batch, drawn: dict[str, Tensor], step: int
@@ -200,7 +204,7 @@ class Learner(StackedLearner):
         config, limit = self._config, self._config.raw_limit
         with torch.no_grad():
             logged = self._vae.generate(batch.observations, drawn["generated"])
-        actions, raw, _ = self._actor.draw(self._actor(batch.observations), drawn["actor"])
+        actions, raw = self._actor.sample(self._actor(batch.observations), drawn["actor"])
         discrepancy = lanewise_mean(
             mean_discrepancy(logged.clamp(-limit, limit), raw, config.kernel, config.sigma)
         )
@@ -212,7 +216,7 @@ class Learner(StackedLearner):
             "actor/saturated_share": saturation(actions),
         }
         if self.branch(step):
-            values = self._critics(batch.observations, actions[:, :, 0]).amin(dim=1)
+            values = self._critics.least(batch.observations, actions[:, :, 0])
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
         return loss, discrepancy.detach(), metrics | {"actor/loss": loss.detach()}
@@ -241,7 +245,7 @@ class Learner(StackedLearner):
         descend(self._optimizers["log_multiplier"], ascent)
         with torch.no_grad():
             log_multiplier.clamp_(*LOG_MULTIPLIER_RANGE)
-        polyak_update(self._critics_target, self._critics, config.target_rate)
+        polyak_update([(self._critics_target, self._critics)], config.target_rate)
         return metrics | {
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),
@@ -270,7 +274,7 @@ ALGORITHM: Final = Algorithm(
     name="bear",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(1.7e-4),
     frame_epsilon=1e-3,
 )

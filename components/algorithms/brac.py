@@ -39,11 +39,13 @@ from components.algorithms.parts.learner import (
     Scalars,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.networks.gaussian import Sample, log_density, raw_actions
@@ -122,7 +124,7 @@ class Learner(StackedLearner):
             "critics": config.learning_rate,
         }
         self._optimizers = adam_each(self._networks, rates)
-        several = normal_draw(config.batch, config.divergence_actions, acted)
+        several = Normal(config.batch, config.divergence_actions, acted)
         self._streams = LaneStreams(
             keys,
             {"row": data.row_draw(config.batch), "next": several, "actor": several},
@@ -160,7 +162,7 @@ class Learner(StackedLearner):
         drawn = self._actor.draw(self._actor(following), noise)
         values: Tensor = self._critics_target(following, drawn[0][:, :, 0]).amin(dim=1)
         ahead = values - config.alpha * self._divergence(following, drawn)
-        return batch.rewards + config.discount * batch.continues * ahead
+        return bootstrapped(batch, config.discount, ahead)
 
     def _actor_loss(
         self, batch: Batch, noise: Tensor, with_values: bool
@@ -174,7 +176,7 @@ class Learner(StackedLearner):
             "actor/saturated_share": saturation(drawn[0]),
         }
         if with_values:
-            values = self._critics(batch.observations, drawn[0][:, :, 0]).amin(dim=1)
+            values = self._critics.least(batch.observations, drawn[0][:, :, 0])
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
         return loss, metrics | {"actor/loss": loss.detach()}
@@ -214,7 +216,7 @@ class Learner(StackedLearner):
     def _improve(
         self, batch: Batch, drawn: dict[str, Tensor], *, with_values: bool
     ) -> dict[str, Tensor]:
-        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        polyak_update([(self._critics_target, self._critics)], self._config.target_rate)
         targets = self._targets(batch, drawn["next"])
         critic_loss = self._critics.errors(batch.observations, batch.actions, targets).sum(dim=1)
         descend(self._optimizers["critics"], critic_loss)
@@ -238,7 +240,7 @@ ALGORITHM: Final = Algorithm(
     name="brac",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(6.5e-5),
     frame_epsilon=1e-3,
 )

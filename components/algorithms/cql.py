@@ -32,9 +32,9 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import mse_loss
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
@@ -42,12 +42,14 @@ from components.algorithms.parts.learner import (
     Scalars,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     gather_gradients,
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal, Uniform
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lane_groups, lanewise_mean, polyak_update
 from components.networks.gaussian import log_density, raw_actions
@@ -128,11 +130,11 @@ class Learner(StackedLearner):
             keys,
             {
                 "row": data.row_draw(batch),
-                "actor": normal_draw(batch, 1, acted),
-                "target": normal_draw(batch, 1, acted),
-                "here": normal_draw(*tried),
-                "next": normal_draw(*tried),
-                "uniform": lambda g, lane, steps: 2.0 * g.random((steps, *tried), np.float32) - 1.0,
+                "actor": Normal(batch, 1, acted),
+                "target": Normal(batch, 1, acted),
+                "here": Normal(*tried),
+                "next": Normal(*tried),
+                "uniform": Uniform(*tried, low=-1.0),
             },
             device,
         )
@@ -162,36 +164,41 @@ class Learner(StackedLearner):
             logged = raw_actions(batch.actions, ACTION_MARGIN)
             loss = loss - lanewise_mean(log_density(mean, log_std, logged))
         else:
-            values = self._critics(batch.observations, actions.squeeze(2)).amin(dim=1)
+            values = self._critics.least(batch.observations, actions.squeeze(2))
             loss = loss - lanewise_mean(values)
             metrics["critic/value_magnitude"] = lanewise_mean(values.detach().abs())
         return loss, metrics | {"actor/loss": loss.detach()}
 
     @torch.no_grad()
     def _tried(self, batch: Batch, drawn: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Targets ``[L, B]``, actions tried ``[L, B, 3N, A]`` and their log densities."""
-        config = self._config
-        following = self._actor(batch.next_observations)
-        action, _, _ = self._actor.draw(following, drawn["target"])
+        """Targets ``[L, B]``, log densities ``[L, B, 3N]`` of the actions tried, and the actions.
+
+        The actions ``[L, B, 1 + 3N, A]`` begin with the logged one. One pass of the actor gives its
+        distributions at states and next states, one draw both kinds of its actions.
+        """
+        states = torch.cat([batch.observations, batch.next_observations], dim=1)
+        distributions = self._actor(states)
+        noise = torch.cat([drawn["here"], drawn["next"]], dim=1)
+        actions, _, densities = self._actor.draw(distributions, noise)
+        mean, log_std = (parameters.chunk(2, dim=1)[1] for parameters in distributions)
+        action, _ = self._actor.sample((mean, log_std), drawn["target"])
         values = self._critics_target(batch.next_observations, action.squeeze(2)).amin(dim=1)
-        targets = batch.rewards + config.discount * batch.continues * values
-        here, _, here_density = self._actor.draw(self._actor(batch.observations), drawn["here"])
-        ahead, _, ahead_density = self._actor.draw(following, drawn["next"])
-        uniform = drawn["uniform"]
-        uniform_density = torch.full_like(here_density, -uniform.shape[-1] * math.log(2.0))
-        tried = torch.cat([uniform, here, ahead], dim=2)
-        return targets, tried, torch.cat([uniform_density, here_density, ahead_density], dim=2)
+        targets = bootstrapped(batch, self._config.discount, values)
+        uniform, own, density = drawn["uniform"], actions.chunk(2, 1), densities.chunk(2, 1)
+        of_uniform = torch.full_like(density[0], -uniform.shape[-1] * math.log(2.0))
+        tried = torch.cat([batch.actions[:, :, None], uniform, *own], dim=2)
+        return targets, torch.cat([of_uniform, *density], dim=2), tried
 
     def _critic_losses(
-        self, critics: Critics, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
+        self, critics: Critics, batch: Batch, targets: Tensor, density: Tensor, tried: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Mean squared errors and conservative terms of both critics, ``[L, 2]`` each."""
-        actions = torch.cat([batch.actions[:, :, None], tried], dim=2)
-        values = critics.over_actions(batch.observations, actions)  # [L, 2, B, 1 + 3N]
-        logged = values[..., 0]
-        errors = (logged - targets[:, None]).square().mean(dim=2)
+        values = critics.over_actions(batch.observations, tried)  # [L, 2, B, 1 + 3N]
+        logged, others = values.split([1, density.shape[-1]], dim=-1)
+        logged = logged.squeeze(-1)
+        errors = mse_loss(logged, targets[:, None].expand_as(logged), reduction="none").mean(dim=2)
         if self._config.variant == "h":
-            pushed = torch.logsumexp(values[..., 1:] - density[:, None], dim=-1)
+            pushed = torch.logsumexp(others - density[:, None], dim=-1)
         else:
             pushed = torch.logsumexp(values, dim=-1)
         return errors, self._config.weight * (pushed - logged).mean(dim=2)
@@ -217,22 +224,22 @@ class Learner(StackedLearner):
         actor_loss, metrics = self._actor_loss(batch, drawn["actor"], step)
         descend(self._optimizers["actor"], actor_loss)
         metrics |= self._critic_step(batch, *self._tried(batch, drawn))
-        polyak_update(self._critics_target, self._critics, self._config.target_rate)
+        polyak_update([(self._critics_target, self._critics)], self._config.target_rate)
         return metrics | {"actor/temperature": self._log_temperature.value.detach().exp()}
 
     def _critic_step(
-        self, batch: Batch, targets: Tensor, tried: Tensor, density: Tensor
+        self, batch: Batch, targets: Tensor, density: Tensor, tried: Tensor
     ) -> dict[str, Tensor]:
         """Step the critics, and the multiplier where one is learned."""
         parts = []
         for lanes, critics in self._groups:
             critics.zero_grad(set_to_none=True)
             errors, gaps = self._critic_losses(
-                critics, batch.lanes(lanes), targets[lanes], tried[lanes], density[lanes]
+                critics, batch.lanes(lanes), targets[lanes], density[lanes], tried[lanes]
             )
             loss = self._weigh(errors, gaps, lanes)
-            loss.sum().backward()
-            parts.append((loss.detach(), errors.detach(), gaps.detach()))
+            loss.backward(torch.ones_like(loss))
+            parts.append([each.detach() for each in (loss, errors, gaps)])
         gather_gradients(self._critics, [critics for _, critics in self._groups])
         self._optimizers["critics"].step()
         loss, errors, gaps = (torch.cat(each) for each in zip(*parts, strict=True))
@@ -260,7 +267,7 @@ ALGORITHM: Final = Algorithm(
     name="cql",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(5.8e-4),
     frame_epsilon=1e-3,
 )

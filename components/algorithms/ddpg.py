@@ -34,6 +34,7 @@ from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     saturation,
 )
@@ -129,7 +130,7 @@ class ActorCritic(StackedLearner):
         """Bootstrapped values ``[L, B]`` of transitions."""
         actions = torch.tanh(self._actor_target(batch.next_observations))
         values = self._critic_target.first(batch.next_observations, actions)
-        return batch.rewards + self._config.discount * batch.continues * values
+        return bootstrapped(batch, self._config.discount, values)
 
     # -- update -----------------------------------------------------------------------------
 
@@ -142,8 +143,8 @@ class ActorCritic(StackedLearner):
         values = self._critic.first(batch.observations, actions)
         actor_loss = -lanewise_mean(values)
         descend(self._optimizers["actor"], actor_loss)
-        polyak_update(self._actor_target, self._actor, self._config.target_rate)
-        polyak_update(self._critic_target, self._critic, self._config.target_rate)
+        moving = [(self._actor_target, self._actor), (self._critic_target, self._critic)]
+        polyak_update(moving, self._config.target_rate)
         return {
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),
@@ -179,7 +180,7 @@ ALGORITHM: Final = Algorithm(
     name="ddpg",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(2.2e-5),
     frame_epsilon=1e-3,
 )

@@ -23,7 +23,7 @@ from torch import Tensor
 from components.algorithms import td3_bc
 from components.algorithms.parts.algorithm import Algorithm
 from components.algorithms.parts.learner import LearnerInputs, needed
-from components.core.random_streams import Draw
+from components.core.draws import Beta, Draw
 from components.data.batches import Batch
 from components.networks import lanewise_mean
 from components.policies.policy import PROXIMITY_SCALING
@@ -60,9 +60,7 @@ class Learner(td3_bc.Learner):
     def _draws(self) -> dict[str, Draw]:
         shape = self._config.batch
         beta = self._config.beta  # type: ignore[attr-defined]
-        return super()._draws() | {
-            "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, shape)).astype("f4")
-        }
+        return super()._draws() | {"proximity": Beta(beta, shape)}
 
     # -- networks ---------------------------------------------------------------------------
 
@@ -96,7 +94,7 @@ ALGORITHM: Final = Algorithm(
     name="lambda_td3_bc",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=td3_bc.ALGORITHM.cost,
     takes_proximity=True,
     frame_epsilon=td3_bc.ALGORITHM.frame_epsilon,

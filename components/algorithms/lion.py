@@ -27,7 +27,8 @@ from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.algorithms.parts.virtual_returns import VirtualReturns
-from components.core.random_streams import Draw, LaneStreams, spawn_generators
+from components.core.draws import Beta, Draw
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.transition.model_environment import discounted_sum
 from components.networks import StackedMLP, lanewise_mean
 from components.policies.deployment import KINDS
@@ -90,7 +91,7 @@ class Learner(StackedLearner):
             "start": self._returns.start_draw(
                 batch, self._config.start_window, self._config.start_after
             ),
-            "proximity": lambda g, lane, steps: g.beta(beta, beta, (steps, batch)).astype("f4"),
+            "proximity": Beta(beta, batch),
             "clone": self._data.row_draw(batch),
         }
 
@@ -158,7 +159,7 @@ ALGORITHM: Final = Algorithm(
     name="lion",
     config=Config,
     learner=Learner,
-    version=3,
+    version=4,
     cost=per_virtual_step(1.4e-5),
     needs=("behaviour_policy", "recurrent_ensemble"),
     takes_proximity=True,

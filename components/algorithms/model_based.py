@@ -113,7 +113,7 @@ ALGORITHM: Final = Algorithm(
     name="model_based",
     config=Config,
     learner=Learner,
-    version=2,
+    version=3,
     cost=per_virtual_step(9e-6),
     needs=("recurrent_ensemble",),
 )

@@ -39,8 +39,9 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one
+from components.core.draws import Normal
 from components.core.normaliser import Normaliser
-from components.core.random_streams import LaneStreams, normal_draw, spawn_generators
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.action_vae import ActionReconstruction, ActionVAE
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
@@ -140,7 +141,7 @@ class Learner(StackedLearner):
             inputs.keys,
             {
                 "start": data.row_draw(config.trajectories),
-                "latent": normal_draw(config.horizon, acting, latent),
+                "latent": Normal(config.horizon, acting, latent),
             },
             device,
             block=DRAWN_AT_ONCE,
@@ -234,7 +235,7 @@ ALGORITHM: Final = Algorithm(
     name="moose",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_virtual_step(2.7e-4),
     needs=("action_vae", "deterministic_ensemble"),
 )

@@ -46,8 +46,10 @@ from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.model_buffer import ModelBuffer
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
 from components.algorithms.parts.soft_actor_critic import SoftActorCritic
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Integers, Normal, UniformDouble
+from components.core.random_streams import LaneStreams
 from components.data.batches import Batch
+from components.data.sizes import DataSizes
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.interface import Prediction
 from components.models.transition.model_environment import (
@@ -134,9 +136,9 @@ class Learner(SoftActorCritic):
             {
                 "row": data.row_draw(config.logged),
                 # In double precision: single has too few digits for a million places.
-                "virtual": lambda g, lane, steps: g.random((steps, virtual)),
-                "next": normal_draw(batch, 1, acted),
-                "actor": normal_draw(batch, 1, acted),
+                "virtual": UniformDouble(virtual),
+                "next": Normal(batch, 1, acted),
+                "actor": Normal(batch, 1, acted),
             },
             device,
         )
@@ -147,9 +149,9 @@ class Learner(SoftActorCritic):
             keys,
             {
                 "start": data.row_draw(self._chunk),
-                "elite": lambda g, lane, steps: g.integers(elites, size=(steps, *several)),
-                "frame": normal_draw(*several, self._model.low.shape[1]),
-                "action": normal_draw(*several, acted),
+                "elite": Integers([elites] * self.lanes, *several),
+                "frame": Normal(*several, self._model.low.shape[1]),
+                "action": Normal(*several, acted),
             },
             device,
             block=1,
@@ -163,7 +165,7 @@ class Learner(SoftActorCritic):
 
         def act(observations: Tensor) -> Tensor:
             parameters = self._actor(observations)
-            return self._actor.draw(parameters, next(noise)[:, :, None])[0].squeeze(2)
+            return self._actor.sample(parameters, next(noise)[:, :, None])[0].squeeze(2)
 
         elites = self._model.elites
         lane = torch.arange(self.lanes, device=elites.device)[:, None, None]
@@ -272,18 +274,18 @@ def percentile(values: Tensor, percent: int) -> Tensor:
     return values.kthvalue(rank, dim=1).values
 
 
-def _cost(config: Config) -> float:
+def _cost(config: Config, sizes: DataSizes) -> float:
     rounds = -(-config.updates // config.rollout_every)
     virtual = 3.5e-5 * float(rounds * config.rollouts * config.rollout_length)
-    return per_transition(5.6e-5)(config) + virtual
+    return per_transition(5.6e-5)(config, sizes) + virtual
 
 
 ALGORITHM: Final = Algorithm(
     name="mopo",
     config=Config,
     learner=Learner,
-    version=1,
-    version_with_falls=2,
+    version=2,
+    version_with_falls=3,
     cost=_cost,
     needs=("gaussian_ensemble",),
     frame_epsilon=1e-3,

@@ -39,11 +39,10 @@ trajectories shorter than five steps count. Pretraining takes a fixed number of 
 here.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -66,7 +65,9 @@ from components.algorithms.parts.natural_gradient import (
 )
 from components.algorithms.parts.pessimistic_mdp import Detector, PessimisticMDP
 from components.algorithms.parts.ranges import check_at_least_one
-from components.core.random_streams import Draw, LaneStreams, normal_draw
+from components.core.draws import Choice, Draw, Normal, Order
+from components.core.random_streams import LaneStreams
+from components.data.sizes import DataSizes
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment
 from components.networks import lanewise_mean
@@ -160,18 +161,13 @@ class Learner(StackedLearner):
     def _draws(self) -> dict[str, Draw]:
         batch, horizon, data = self._batch, self._config.horizon, self._data
         begins = [start_rows(dataset, 1) for dataset in data.datasets]
-        anywhere = data.row_draw(batch)
-
-        def start(g: np.random.Generator, lane: int, steps: int) -> npt.NDArray[np.int64]:
-            rows = anywhere(g, lane, steps)
-            rows[:, ::2] = g.choice(begins[lane], size=rows[:, ::2].shape)
-            return rows
-
-        def order(g: np.random.Generator, lane: int, steps: int) -> npt.NDArray[np.int64]:
-            return np.stack([g.permutation(horizon * batch) for _ in range(steps)])
-
-        noise = normal_draw(horizon, batch, data.action_width)
-        return {"start": start, "noise": noise, "order": order}
+        half = (batch + 1) // 2
+        return {
+            "begin": Choice(begins, half),
+            "anywhere": data.row_draw(half),
+            "noise": Normal(horizon, batch, data.action_width),
+            "order": Order(horizon * batch),
+        }
 
     # -- networks ---------------------------------------------------------------------------
 
@@ -183,6 +179,11 @@ class Learner(StackedLearner):
         return mean.clamp(-1.0, 1.0)
 
     # -- virtual trajectories -----------------------------------------------------------------
+
+    def _starts(self, drawn: Mapping[str, Tensor]) -> Tensor:
+        """Rows ``[L, B]``: of each member's, every other one begins where a logged one does."""
+        both = torch.stack([drawn["begin"], drawn["anywhere"]], dim=-1)
+        return both.flatten(1)[:, : self._batch]
 
     @torch.no_grad()
     def _roll_out(self, start: Tensor, noise: Tensor) -> Rollouts:
@@ -270,7 +271,7 @@ class Learner(StackedLearner):
         if step < self.pretraining:
             return self._pretrain(self._pretraining_streams.at(step)["row"])
         drawn = self._streams.at(step - self.pretraining)
-        rolled = self._roll_out(drawn["start"], drawn["noise"])
+        rolled = self._roll_out(self._starts(drawn), drawn["noise"])
         ended, halted = rolled.ended, rolled.ended.halts.any(dim=0).float()
         live = live_samples(by_sample(ended.alive), drawn["order"])
         self._climb(rolled, live)
@@ -303,15 +304,15 @@ class Learner(StackedLearner):
         )
 
 
-def _cost(config: Config) -> float:
-    return per_virtual_step(2.3e-4)(config) + 2.2e-3 * float(config.cloning)
+def _cost(config: Config, sizes: DataSizes) -> float:
+    return per_virtual_step(2.3e-4)(config, sizes) + 2.2e-3 * float(config.cloning)
 
 
 ALGORITHM: Final = Algorithm(
     name="morel",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=_cost,
     needs=("residual_ensemble",),
 )

@@ -34,6 +34,7 @@ from components.algorithms.parts.learner import (
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one
+from components.core.draws import Choice
 from components.core.normaliser import Normaliser
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.dataset import OfflineDataset
@@ -116,12 +117,8 @@ class Learner(StackedLearner):
             scalings.append(Normaliser(torch.zeros(1), scaling.scale / best))
         self._returns = torch.stack(scaled).to(device)  # [L, N], scaled
         self._proximity_scaling = Normaliser.stack(scalings).to(device)  # [L, 1]
-        batch = config.batch
-        self._streams = LaneStreams(
-            inputs.keys,
-            {"row": lambda g, lane, steps: g.choice(windows[lane][0], size=(steps, batch))},
-            device,
-        )
+        row = Choice([rows for rows, _ in windows], config.batch)
+        self._streams = LaneStreams(inputs.keys, {"row": row}, device)
 
     # -- networks ---------------------------------------------------------------------------
 
@@ -172,7 +169,7 @@ ALGORITHM: Final = Algorithm(
     name="rvs",
     config=Config,
     learner=Learner,
-    version=1,
+    version=2,
     cost=per_transition(6e-5),
     takes_proximity=True,
     frame_epsilon=1e-3,

@@ -21,17 +21,20 @@ from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn.functional import mse_loss
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     saturation,
 )
 from components.algorithms.parts.ranges import check_at_least_one, check_bootstrapping
-from components.core.random_streams import Draw, LaneStreams, normal_draw, spawn_generators
+from components.core.draws import Draw, Normal
+from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
@@ -97,7 +100,7 @@ class Learner(StackedLearner):
         batch = self._config.batch
         return {
             "row": self._data.row_draw(batch),
-            "noise": normal_draw(batch, self._data.action_width),
+            "noise": Normal(batch, self._data.action_width),
         }
 
     def _batch(self, drawn: dict[str, Tensor]) -> Batch:
@@ -122,7 +125,7 @@ class Learner(StackedLearner):
         actions = torch.tanh(self._actor_target(batch.next_observations))
         actions = (actions + smoothing).clamp(-1.0, 1.0)
         values: Tensor = self._critics_target(batch.next_observations, actions)
-        return batch.rewards + config.discount * batch.continues * values.amin(dim=1)
+        return bootstrapped(batch, config.discount, values.amin(dim=1))
 
     def _weigh(self, batch: Batch, gain: Tensor, distance: Tensor) -> Tensor:
         """Loss ``[L]`` of scaled values and squared distances to the log, ``[L, B]`` each."""
@@ -132,8 +135,9 @@ class Learner(StackedLearner):
         actions = torch.tanh(self._actor(batch.observations))
         values = self._critics.first(batch.observations, actions)
         magnitude = lanewise_mean(values.detach().abs())
-        distance = (actions - batch.actions).square().mean(dim=-1)
-        loss = self._weigh(batch, self._config.alpha * values / magnitude[:, None], distance)
+        distance = mse_loss(actions, batch.actions, reduction="none").mean(dim=-1)
+        gain = values * (self._config.alpha / magnitude)[:, None]
+        loss = self._weigh(batch, gain, distance)
         return loss, {
             "actor/loss": loss.detach(),
             "actor/imitation_error": lanewise_mean(distance.detach()),
@@ -161,8 +165,8 @@ class Learner(StackedLearner):
         if self.branch(step):
             actor_loss, actor_metrics = self._actor_loss(batch)
             descend(self._optimizers["actor"], actor_loss)
-            polyak_update(self._actor_target, self._actor, self._config.target_rate)
-            polyak_update(self._critics_target, self._critics, self._config.target_rate)
+            moving = [(self._actor_target, self._actor), (self._critics_target, self._critics)]
+            polyak_update(moving, self._config.target_rate)
             metrics |= actor_metrics
         return metrics
 
@@ -177,7 +181,7 @@ ALGORITHM: Final = Algorithm(
     name="td3_bc",
     config=Config,
     learner=Learner,
-    version=2,
+    version=3,
     cost=per_transition(2.5e-5),
     frame_epsilon=1e-3,
 )

@@ -39,7 +39,9 @@ from components.algorithms.parts.algorithm import Algorithm
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, start_rows
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
+from components.core.draws import Uniform
 from components.core.random_streams import LaneStreams, spawn_generators
+from components.data.sizes import DataSizes
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
@@ -124,8 +126,8 @@ class Learner(StackedLearner):
         self._streams = LaneStreams(
             inputs.keys,
             {
-                "own": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
-                "ring": lambda g, lane, steps: g.random((steps, *size), dtype=np.float32),
+                "own": Uniform(*size),
+                "ring": Uniform(*size),
             },
             device,
             block=1,  # a step draws two numbers per weight of every particle
@@ -245,7 +247,7 @@ def _defined_mean(fitness: Tensor) -> Tensor:
     return fitness.where(fitness.isfinite(), torch.nan).nanmean(dim=1)
 
 
-def _cost(config: Config) -> float:
+def _cost(config: Config, sizes: DataSizes) -> float:
     steps = config.updates * config.particles * config.starts * config.horizon
     return 9e-7 * float(steps)
 
@@ -254,7 +256,7 @@ ALGORITHM: Final = Algorithm(
     name="wsbc",
     config=Config,
     learner=Learner,
-    version=2,
+    version=3,
     cost=_cost,
     needs=("behaviour_policy", "recurrent_ensemble"),
 )

@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from components.core.draws import Draw, Integers
 from components.core.normaliser import Normaliser
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification, model_frames
@@ -112,9 +112,9 @@ class LaneData:
         """Width O of a stacked history."""
         return int(self.history * self.frame_width)
 
-    def row_draw(self, batch: int) -> Callable[..., npt.NDArray[np.int64]]:
+    def row_draw(self, batch: int) -> Draw:
         """Drawing rule of uniform transitions, for a stream of batches ``[L, batch]``."""
-        return lambda g, lane, steps: g.integers(self.counts[lane], size=(steps, batch))
+        return Integers(self.counts, batch)
 
     def batch(self, index: Tensor) -> Batch:
         """Gather transitions ``index [L, B]``, counted within each lane's dataset."""

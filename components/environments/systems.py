@@ -86,8 +86,7 @@ class System:
 
 
 def _industrial(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
-    """The Industrial Benchmark; `threads` is not used, since NumPy does all arithmetic."""
-    return IndustrialBenchmark(copies, **parameters)
+    return IndustrialBenchmark(copies, threads=threads, **parameters)
 
 
 INDUSTRIAL_BENCHMARK: Final = System(

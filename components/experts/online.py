@@ -27,7 +27,8 @@ import torch
 from torch import Tensor
 
 from components.algorithms import ddpg
-from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
+from components.core.draws import Normal, Uniform, UniformDouble
+from components.core.random_streams import LaneStreams, lane_generator, lane_key
 from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
 from components.networks import StackedMLP
@@ -112,9 +113,7 @@ class _ReplayedDDPG(ddpg.ActorCritic):
     ) -> None:
         super().__init__(config.learner, keys, *widths, device)
         self._replay = replay
-        self._streams = LaneStreams(
-            keys, {"row": lambda g, lane, steps: g.random((steps, config.batch))}, device
-        )
+        self._streams = LaneStreams(keys, {"row": UniformDouble(config.batch)}, device)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One update on transitions drawn uniformly from all that there are."""
@@ -153,8 +152,8 @@ class OnlineDDPG:
         self._streams = LaneStreams(
             keys,
             {
-                "uniform": lambda g, lane, steps: g.uniform(-1.0, 1.0, (steps, widths[1])),
-                "noise": normal_draw(widths[1]),
+                "uniform": Uniform(widths[1], low=-1.0),
+                "noise": Normal(widths[1]),
             },
             device,
         )

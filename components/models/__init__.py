@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Generic, TypeVar
 
+from components.data.sizes import DataSizes, relative_weights
 from components.models import action_vae, behaviour_policy
 from components.models.gaussian_behaviour import (
     GaussianBehaviour,
@@ -45,7 +46,8 @@ class ModelKind(Generic[C]):
         fit: ``fit(dataset, config, key, device, checkpoint, monitor)``: trains on all but the last
             trajectories, resumably.
         load: Reads the folder that the fitted model's ``save`` filled.
-        cost: Core-seconds of a fit with given settings, measured roughly on a computer of 2026.
+        cost: Core-seconds of a fit with given settings to data of given sizes, measured roughly on
+            a computer of 2026.
         version: Of its code, part of node keys; to be raised when a change can change its fits. It
             is 5 where nothing has changed since all kinds had one version together, so that fits
             stored then keep their keys. A new kind begins with 1.
@@ -54,19 +56,32 @@ class ModelKind(Generic[C]):
     config: type[C]
     fit: Callable[..., Fit[Any]]
     load: Callable[[Path], Any]
-    cost: Callable[[C], float]
+    cost: Callable[[C, DataSizes], float]
     version: int
 
 
-def _recurrent_cost(config: RecurrentEnsembleConfig) -> float:
+def _per_epoch(seconds: float) -> Callable[[Any, DataSizes], float]:
+    """The cost of fits in epochs, from core-seconds for one of 100,000 transitions.
+
+    They hold for the default network on the Industrial Benchmark.
+    """
+    return lambda config, sizes: (
+        seconds * config.epochs * sizes.transitions / 1e5 * relative_weights(config, sizes)
+    )
+
+
+def _recurrent_cost(config: RecurrentEnsembleConfig, sizes: DataSizes) -> float:
     steps = config.warm_up + config.horizon
-    return 3.4e-7 * config.updates * config.batch * config.members * 2 * steps * config.hidden / 30
+    networks = config.members * (2 if config.networks == "separate" else 1)
+    return 3.4e-7 * config.updates * config.batch * networks * steps * config.hidden / 30
 
 
-def _mlp_cost(config: MLPEnsembleConfig) -> float:
-    widths = (184, *config.hidden, 2)  # 30 frames and the next inputs; fatigue and consumption
+def _mlp_cost(config: MLPEnsembleConfig, sizes: DataSizes) -> float:
+    observed = (config.history or sizes.history) * sizes.frame
+    widths = (observed + sizes.action, *config.hidden, sizes.frame)
     weights = sum(inputs * outputs for inputs, outputs in pairwise(widths))
-    return 6.5e-6 * config.epochs * config.members * len(config.forms) * weights
+    passes = config.epochs * sizes.transitions / 1e5
+    return 6.5e-6 * passes * config.members * len(config.forms) * weights
 
 
 MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
@@ -75,38 +90,38 @@ MODELS: Final[Mapping[str, ModelKind[Any]]] = MappingProxyType(
             behaviour_policy.BehaviourPolicyConfig,
             behaviour_policy.fit_behaviour_policy,
             Policy.load,
-            lambda config: 0.5 * config.epochs,
-            version=6,
+            _per_epoch(0.2),
+            version=7,
         ),
         "gaussian_behaviour": ModelKind(
             GaussianBehaviourConfig,
             fit_gaussian_behaviour,
             GaussianBehaviour.load,
-            lambda config: 0.5 * config.epochs,
-            version=6,
+            _per_epoch(0.5),
+            version=7,
         ),
         "recurrent_ensemble": ModelKind(
             RecurrentEnsembleConfig,
             fit_recurrent_ensemble,
             RecurrentEnsemble.load,
             _recurrent_cost,
-            version=5,
+            version=6,
         ),
         "deterministic_ensemble": ModelKind(
-            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            DeterministicEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "gaussian_ensemble": ModelKind(
-            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            GaussianEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "residual_ensemble": ModelKind(
-            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=5
+            ResidualEnsembleConfig, fit_mlp_ensemble, MLPEnsemble.load, _mlp_cost, version=6
         ),
         "action_vae": ModelKind(
             action_vae.ActionVAEConfig,
             action_vae.fit_action_vae,
             action_vae.ActionVAE.load,
-            lambda config: 7.5 * config.epochs,
-            version=5,
+            _per_epoch(7.5),
+            version=6,
         ),
     }
 )

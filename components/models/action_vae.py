@@ -17,8 +17,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from components.core.draws import Integers, Normal
 from components.core.normaliser import Normaliser
-from components.core.random_streams import LaneStreams, lane_generator, lane_key, normal_draw
+from components.core.random_streams import LaneStreams, lane_generator, lane_key
 from components.core.tensors import load_tensors, save_tensors
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
@@ -227,8 +228,8 @@ def fit_action_vae(
     streams = LaneStreams(
         [key],
         {
-            "row": lambda g, lane, steps: g.integers(trained_on, size=(steps, config.batch)),
-            "noise": normal_draw(config.batch, network.latent),
+            "row": Integers([trained_on], config.batch),
+            "noise": Normal(config.batch, network.latent),
         },
         device,
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from components.core.draws import Integers
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
@@ -97,15 +98,7 @@ def fit_behaviour_policies(
         StackedMLP(spawn_generators(keys, "weights"), sizes).to(device),
         data.lanes,
         lambda network, drawn: (_errors(network, data, drawn["row"]).mean(dim=1), {}),
-        LaneStreams(
-            keys,
-            {
-                "row": lambda g, lane, steps: g.integers(
-                    trained_on[lane], size=(steps, config.batch)
-                )
-            },
-            device,
-        ),
+        LaneStreams(keys, {"row": Integers(trained_on, config.batch)}, device),
         learning_rate=config.learning_rate,
         schedule=config.schedule,
         weight_decay=config.weight_decay,

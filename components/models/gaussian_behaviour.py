@@ -21,6 +21,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from components.core.draws import Integers
 from components.core.random_streams import LaneStreams
 from components.core.tensors import load_tensors, save_tensors
 from components.data.batches import LaneData
@@ -185,7 +186,7 @@ def fit_gaussian_behaviour(
         parts = [cost(network, rows) for rows in held_out.split(VALIDATION_CHUNK, dim=1)]
         return torch.cat(parts, dim=1).mean(dim=1)
 
-    rows = {"row": lambda g, lane, steps: g.integers(trained, size=(steps, config.batch))}
+    rows = {"row": Integers([trained], config.batch)}
     fitting = StackedFit(
         network,
         1,

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import mse_loss
 
 from components.core.random_streams import spawn_generators
-from components.networks.stacked import StackedMLP
+from components.networks.stacked import StackedMLP, first_layer_over_actions
 
 __all__ = ["Critics", "soft_clipped_maximum"]
 
@@ -38,8 +39,8 @@ class Critics(nn.Module):
 
     def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
         """Values ``[L, K, B]`` of ``observations [L, B, O]`` and ``actions [L, B, A]``."""
-        pairs = torch.cat([observations, actions], dim=-1)
-        values: Tensor = self.stack(self._repeat(pairs))
+        each = [x[:, None].expand(-1, self.count, -1, -1) for x in (observations, actions)]
+        values: Tensor = self.stack(torch.cat(each, dim=-1).flatten(0, 1))
         return values.view(-1, self.count, values.shape[1])
 
     def over_actions(self, observations: Tensor, actions: Tensor) -> Tensor:
@@ -49,16 +50,25 @@ class Critics(nn.Module):
 
     def errors(self, observations: Tensor, actions: Tensor, targets: Tensor) -> Tensor:
         """Mean squared distance of every critic to ``targets [L, B]``: ``[L, K]``."""
-        errors: Tensor = self(observations, actions) - targets[:, None]
-        return errors.square().mean(dim=2)
+        values: Tensor = self(observations, actions)
+        wanted = targets[:, None].expand_as(values)
+        return mse_loss(values, wanted, reduction="none").mean(dim=2)
+
+    def least(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The least value ``[L, B]`` of all critics, for an actor to learn from.
+
+        Its gradient with respect to ``actions [L, B, A]`` is cheaper than the forward pass's.
+        """
+        values = self.over_actions(observations, actions[:, :, None]).squeeze(-1)
+        return values.min(dim=1).values  # of which the gradient is a scatter; that of amin is not
 
     def first(self, observations: Tensor, actions: Tensor) -> Tensor:
         """The first critic's values ``[L, B]``, without computing the others."""
-        x = torch.cat([observations, actions], dim=-1)
-        *hidden, (weight, bias) = self.stack.affine()
-        for inner_weight, inner_bias in hidden:
-            x = torch.baddbmm(inner_bias[:: self.count], x, inner_weight[:: self.count]).relu_()
-        return torch.baddbmm(bias[:: self.count], x, weight[:: self.count]).squeeze(-1)
+        (weight, bias), *rest = self.first_network()
+        x = first_layer_over_actions(weight, bias, observations, actions[:, :, None])
+        for weight, bias in rest:
+            x = torch.baddbmm(bias, torch.relu_(x), weight)
+        return x.squeeze(-1)
 
     def best_action(self, observations: Tensor, actions: Tensor) -> Tensor:
         """The action ``[L, B, A]`` of greatest first-critic value among N, ``[L, B, N, A]``."""
@@ -85,5 +95,5 @@ def soft_clipped_maximum(values: Tensor, weight: float) -> Tensor:
     Returns:
         ``[L, B]``.
     """
-    mixed = weight * values.amin(dim=1) + (1.0 - weight) * values.amax(dim=1)
-    return mixed.amax(dim=-1)
+    least, greatest = torch.aminmax(values, dim=1)
+    return torch.lerp(greatest, least, weight).amax(dim=-1)

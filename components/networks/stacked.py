@@ -13,11 +13,12 @@ from that lane's own generator.
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 __all__ = [
     "StackedLinear",
@@ -116,16 +117,60 @@ def first_layer_over_actions(
 ) -> Tensor:
     """A first layer before its activation, ``[L, B * N, H]``, see :meth:`StackedMLP.over_actions`.
 
+    Its gradient with respect to actions costs a product with the actions' few weights alone.
+
     Args:
         weight: ``[L, O + A, H]``.
         bias: ``[L, 1, H]``.
         observations: ``[L, B, O]``.
         actions: ``[L, B, N, A]``.
     """
-    width = observations.shape[-1]
-    seen = torch.baddbmm(bias, observations, weight[:, :width])
-    x = torch.bmm(actions.flatten(1, 2), weight[:, width:])
-    return x.view(*actions.shape[:3], -1).add_(seen[:, :, None]).flatten(1, 2)
+    x: Tensor = _FirstLayer.apply(weight, bias, observations, actions)  # type: ignore[no-untyped-call]
+    return x
+
+
+class _FirstLayer(torch.autograd.Function):
+    """See :func:`first_layer_over_actions`.
+
+    PyTorch's own gradient of the same lines would fill a tensor of the weights' size for each of
+    their two parts and add them up, and copy the whole activation once more for being written to
+    in place through a view.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, weight: Tensor, bias: Tensor, observations: Tensor, actions: Tensor
+    ) -> Tensor:
+        width, several = observations.shape[-1], actions.shape[2] > 1
+        x = torch.baddbmm(bias, observations, weight[:, :width])
+        if several:
+            seen, x = x, torch.bmm(actions.flatten(1, 2), weight[:, width:])
+            x.view(*actions.shape[:3], -1).add_(seen[:, :, None])
+        else:
+            x.baddbmm_(actions.squeeze(2), weight[:, width:])
+        ctx.save_for_backward(weight, observations, actions)
+        return x
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        weight, observations, actions = ctx.saved_tensors
+        of_weight, of_bias, of_observations, of_actions = ctx.needs_input_grad
+        width, by_action = observations.shape[-1], gradient.reshape(*actions.shape[:3], -1)
+        gradient = by_action.flatten(1, 2)
+        of_state = by_action.squeeze(2) if actions.shape[2] == 1 else by_action.sum(dim=2)
+        for_weight = for_bias = for_observations = for_actions = None
+        if of_weight:
+            for_weight = torch.empty_like(weight)
+            torch.bmm(observations.mT, of_state, out=for_weight[:, :width])
+            torch.bmm(actions.flatten(1, 2).mT, gradient, out=for_weight[:, width:])
+        if of_bias:
+            for_bias = of_state.sum(dim=1, keepdim=True)
+        if of_observations:
+            for_observations = torch.bmm(of_state, weight[:, :width].mT)
+        if of_actions:
+            for_actions = torch.bmm(gradient, weight[:, width:].mT).view_as(actions)
+        return for_weight, for_bias, for_observations, for_actions
 
 
 def lanewise_mean(x: Tensor) -> Tensor:
@@ -145,8 +190,10 @@ def lane_groups(module: Module, lanes: int, groups: int) -> list[tuple[slice, Mo
         groups: Largest number of parts; all of them but the last are of equal size.
 
     Returns:
-        Lanes and stack of every part.
+        Lanes and stack of every part; a single part is the stack itself.
     """
+    if groups == 1:
+        return [(slice(0, lanes), module)]
     parts = []
     for lanes_of_part in torch.arange(lanes).chunk(groups):
         first, last = int(lanes_of_part[0]), int(lanes_of_part[-1]) + 1
@@ -159,9 +206,18 @@ def lane_groups(module: Module, lanes: int, groups: int) -> list[tuple[slice, Mo
 
 
 @torch.no_grad()
-def polyak_update(target: nn.Module, online: nn.Module, rate: float) -> None:
-    """Move target parameters by ``target <- rate * online + (1 - rate) * target``."""
-    torch._foreach_lerp_(list(target.parameters()), list(online.parameters()), rate)
+def polyak_update(pairs: Sequence[tuple[nn.Module, nn.Module]], rate: float) -> None:
+    """Move parameters of targets by ``target <- rate * online + (1 - rate) * target``.
+
+    Args:
+        pairs: Target and online networks; all of them move in one operation.
+        rate: tau.
+    """
+    targets, online = (
+        [parameter for module in modules for parameter in module.parameters()]
+        for modules in zip(*pairs, strict=True)
+    )
+    torch._foreach_lerp_(targets, online, rate)
 
 
 def select_lanes(state: Mapping[str, Tensor], lanes: Sequence[int], of: int) -> dict[str, Tensor]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import mse_loss
 
 from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP, lanewise_mean
@@ -70,7 +71,7 @@ class ConditionalVAE(nn.Module):
             noise: Standard normal ``[L, B, Z]``; 0 decodes the mean.
         """
         mean, log_std = self.encode(observations, actions)
-        latent = mean + log_std.exp() * noise
+        latent = torch.addcmul(mean, log_std.exp(), noise)
         rebuilt = torch.tanh(self.decoder(torch.cat([observations, latent], dim=-1)))
         return rebuilt, (mean, log_std)
 
@@ -85,6 +86,6 @@ class ConditionalVAE(nn.Module):
             noise: Standard normal ``[L, B, Z]``.
         """
         rebuilt, latents = self.reconstruct(observations, actions, noise)
-        error = lanewise_mean((rebuilt - actions).square())
+        error = lanewise_mean(mse_loss(rebuilt, actions, reduction="none"))
         divergence = lanewise_mean(divergence_from_prior(*latents))
         return error + _DIVERGENCE_WEIGHT * divergence, error, divergence

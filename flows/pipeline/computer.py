@@ -12,7 +12,14 @@ import sys
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cpu_seconds", "hardware", "processor", "set_precision", "software"]
+__all__ = [
+    "cpu_seconds",
+    "device_model",
+    "hardware",
+    "processor",
+    "set_precision",
+    "software",
+]
 
 _PACKAGES = ("mujoco", "numpy", "torch")
 
@@ -52,12 +59,21 @@ def software(device: str) -> dict[str, str]:
     found = {
         name: str(getattr(module, "__version__", "unknown")) for name, module in loaded.items()
     }
-    found["device"] = processor()
+    found["device"] = device_model(device)
     if "torch" in loaded:
         found["float32"] = loaded["torch"].get_float32_matmul_precision()
-        if device == "cuda":
-            found["device"] = loaded["torch"].cuda.get_device_name()
     return found
+
+
+def device_model(device: str) -> str:
+    """The model of the GPU, or of the processors.
+
+    Args:
+        device: "cpu" or "cuda"; of the latter, PyTorch must be loaded.
+    """
+    if device == "cuda" and "torch" in sys.modules:
+        return str(sys.modules["torch"].cuda.get_device_name())
+    return processor()
 
 
 def set_precision(device: str, precision: str) -> None:

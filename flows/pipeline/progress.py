@@ -52,7 +52,12 @@ class Display:
         self._last: dict[str, float] = {}
 
     def show_plan(
-        self, plan: Plan, store: ArtifactStore, slots: int, found: Audit | None = None
+        self,
+        plan: Plan,
+        store: ArtifactStore,
+        slots: int,
+        found: Audit | None = None,
+        device: str = "cpu",
     ) -> float:
         """Prints the number of nodes per component, what is finished, and an estimate.
 
@@ -61,6 +66,7 @@ class Display:
             store: Where finished nodes lie.
             slots: Number of groups that run at once.
             found: What the plan finds there, if that is known.
+            device: Where groups run, "cpu" or "cuda".
 
         Returns:
             The estimate, in seconds.
@@ -69,7 +75,7 @@ class Display:
         done = found.finished
         pending = [node.key for node in plan if node.key not in done]
         groups = form_groups(plan, pending, store)
-        run_state = RunState(plan, groups, store, slots, done)
+        run_state = RunState(plan, groups, store, slots, done, device)
         table = Table(box=None, pad_edge=False)
         table.add_column("component")
         for name in ("nodes", "finished", "to do", "begun", "task calls", "work"):
@@ -84,16 +90,15 @@ class Display:
                 str(len(open_nodes)),
                 _begun(*run_state.begun(component)),
                 str(len(calls)),
-                duration(run_state.costs.seconds(open_nodes)) if open_nodes else "",
+                duration(sum(run_state.costs.seconds(c.nodes) for c in calls)) if calls else "",
             )
         self.console.print(table)
         total = max(run_state.remaining().values(), default=0.0)
         number, part = run_state.begun()
         begun = f", {number} of them begun ({part:.0%})" if number else ""
-        source = "from measured times" if run_state.costs.measured else "a rough guess"
         self.console.print(
             f"{len(pending)} of {len(plan)} nodes to do{begun}, about {duration(total)} "
-            f"with {slots} at once ({source})."
+            f"with {slots} at once ({run_state.costs.source})."
             if pending
             else f"All {len(plan)} nodes are finished."
         )

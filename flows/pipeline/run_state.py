@@ -5,8 +5,10 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from flows.pipeline.computer import device_model
+from flows.pipeline.costs import CostModel
 from flows.pipeline.plan import Node, Plan
-from flows.pipeline.schedule import CostModel, Group, simulate_schedule
+from flows.pipeline.schedule import Group, simulate_schedule
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
 
@@ -77,6 +79,7 @@ class RunState:
         store: ArtifactStore,
         slots: int,
         done: Collection[str],
+        device: str = "cpu",
     ) -> None:
         """Starts with the finished nodes.
 
@@ -86,6 +89,7 @@ class RunState:
             store: Where progress and measurements are read.
             slots: Groups that run at once.
             done: Keys finished before.
+            device: Where groups run, "cpu" or "cuda".
         """
         self.plan = plan
         self.slots = slots
@@ -107,7 +111,7 @@ class RunState:
         for key in done:
             self._work_done[plan[key].component] += plan[key].cost
         records = sorted(store.records(), key=lambda record: record.get("finished", 0.0))
-        self.costs = CostModel(records)
+        self.costs = CostModel(records, device, device_model(device))
 
     def _components(self) -> list[tuple[str, list[Node]]]:
         return list(self.plan.by_component().items())

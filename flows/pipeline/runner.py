@@ -100,7 +100,12 @@ class _Run:
         pending = [node.key for node in self.plan if node.key not in found.finished]
         groups = form_groups(self.plan, pending, self.store)
         self.run_state = RunState(
-            self.plan, groups, self.store, self.executor.slots, found.finished
+            self.plan,
+            groups,
+            self.store,
+            self.executor.slots,
+            found.finished,
+            self.executor.device,
         )
         self.display.start(self.run_state)
         try:

@@ -1,19 +1,17 @@
 """Groups of nodes, the order in which they start, and how long all of it takes.
 
-The estimate simulates the list schedule with the order that the runner uses. Costs given by
-the plan are scaled by what finished nodes of the same component and algorithm really took.
+The estimate simulates the list schedule with the order that the runner uses.
 """
 
 import heapq
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from statistics import median
 from typing import Any
 
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["CostModel", "Group", "form_groups", "simulate_schedule"]
+__all__ = ["Group", "form_groups", "simulate_schedule"]
 
 
 @dataclass(eq=False)
@@ -103,48 +101,6 @@ def _prioritise(groups: list[Group]) -> None:
         for need in group.needs:
             source = by_name[need]
             source.priority = max(source.priority, group.priority)
-
-
-class CostModel:
-    """Seconds a node takes, from its planned cost and from what was measured."""
-
-    def __init__(self, records: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Starts from what finished nodes recorded in their `node.json`."""
-        self._ratios: dict[tuple[str, str], list[float]] = {}
-        for record in records:
-            self.learn(record)
-
-    @property
-    def measured(self) -> bool:
-        """Whether any node has been measured."""
-        return bool(self._ratios)
-
-    def learn(self, record: Mapping[str, Any]) -> None:
-        """Learns from one finished node.
-
-        One that was continued after a kill is no measurement, nor is a time below zero, which
-        older stores hold if the clock was set back.
-        """
-        if record.get("resumed") or not record.get("cost") or record["seconds"] < 0.0:
-            return
-        name = (record["component"], record.get("tags", {}).get("algorithm", ""))
-        self._ratios.setdefault(name, []).append(float(record["seconds"]) / float(record["cost"]))
-
-    def seconds(self, nodes: Iterable[Node]) -> float:
-        """Expected seconds of nodes computed in one call."""
-        return sum(node.cost * self._ratio(node) for node in nodes)
-
-    def _ratio(self, node: Node) -> float:
-        known = self._ratios.get((node.component, node.tags.get("algorithm", "")))
-        if known is None:
-            known = [
-                ratio
-                for (component, _), ratios in self._ratios.items()
-                if component == node.component
-                for ratio in ratios
-            ]
-        # The newest ones: they come from code and load most like the present.
-        return median(known[-50:]) if known else 1.0
 
 
 def simulate_schedule(

@@ -37,6 +37,7 @@ __all__ = [
 
 FAILURE_FILE = "failure.txt"
 REACHED_FILE = "reached.json"  # in a work folder: the fraction that its checkpoint holds
+_PACED = 0.25  # part of the work over which a pace must have been seen
 READ = ("metrics.json", "curves.npz", "params.json", "tags.json", "datasets.json")
 """The files of an artifact that a tracker reads."""
 
@@ -100,12 +101,26 @@ class TaskContext:
     _fraction: float = field(default=0.0, repr=False)
     _losses: list[tuple[float, float]] = field(default_factory=list, repr=False)
     _saved: int = field(default=0, repr=False)
+    _first: tuple[float, float] | None = field(default=None, repr=False)
+    _last: tuple[float, float] = field(default=(0.0, 0.0), repr=False)
+
+    @property
+    def steady_seconds(self) -> float | None:
+        """Seconds that all the work takes at the pace of the fractions reported; None if unknown.
+
+        What comes before the first and after the last of them does not count, such as loading data,
+        and so neither does the overhead of the call; preparations that are reported as 0 do.
+        """
+        if self._first is None or self._last[1] - self._first[1] < _PACED:
+            return None
+        return (self._last[0] - self._first[0]) / (self._last[1] - self._first[1])
 
     def begin(self) -> None:
         """Reports the fraction at which the call starts: more than 0 from a checkpoint."""
         self._saved = self._newest_checkpoint()
         reached = read_json(self.work / REACHED_FILE)
         self.progress(reached if isinstance(reached, float) else 0.0)
+        self._first = None
 
     def progress(self, fraction: float) -> None:
         """Reports the fraction done, for the display. Cheap enough for every training step.
@@ -113,7 +128,8 @@ class TaskContext:
         Args:
             fraction: Between 0 and 1, over all jobs of the call.
         """
-        former, self._fraction = self._fraction, min(1.0, max(0.0, float(fraction)))
+        former = self._fraction
+        self._reach(fraction)
         if time.monotonic() - self._written >= self.interval:
             self._note_checkpoint(former)
             self._write()
@@ -128,12 +144,19 @@ class TaskContext:
         Raises:
             StopRequested: The stop file is there.
         """
-        self._fraction = min(1.0, max(0.0, float(fraction)))
+        self._reach(fraction)
         self._losses.append((self._fraction, float(loss)))
         self._write()
         self.watch()
         if self.stop_file is not None and self.stop_file.exists():
             raise StopRequested(f"stopped at {self._fraction:.0%} of the budget")
+
+    def _reach(self, fraction: float) -> None:
+        former, self._fraction = self._fraction, min(1.0, max(0.0, float(fraction)))
+        now = time.monotonic()
+        self._first = self._first or (now, self._fraction)
+        if self._fraction > former:
+            self._last = now, self._fraction
 
     def _note_checkpoint(self, reached: float) -> None:
         """Notes how far a new checkpoint is, for whoever continues from it after a kill.

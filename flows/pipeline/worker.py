@@ -14,6 +14,7 @@ from components.core.integrity import DamagedFileError, damaged_path, load_json
 from components.core.sealed import content_digest, seal
 from components.core.version import code_version
 from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
+from flows.pipeline.costs import RULES
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
 from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
@@ -239,6 +240,9 @@ def _make(
         "resumed": work.resumed,
         "device": call.device,
         "threads": call.threads,
+        "steady_seconds": context.steady_seconds,
+        "lanes": len(nodes),
+        "cost_rules": RULES,
     }
     whole = sum(node["cost"] for node in nodes)
     ready = []

@@ -6,6 +6,7 @@ from itertools import product
 from components.algorithms import ALGORITHMS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
+from flows.planning.costs import data_sizes
 from flows.planning.model_choice import ModelChoice, choose_models
 from flows.planning.nodes import (
     aggregation_node,
@@ -65,18 +66,19 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
     nodes = []
     for dataset in settings.datasets:
         data = data_node(settings, dataset)
+        sizes = data_sizes(settings.dataset[dataset])
         own = settings.models.per_seed
         seeds = settings.seeds if own else (0,)
         models = {
             seed: {
-                name: model_node(name, config, dataset, data, seed, shared=not own)
+                name: model_node(name, config, dataset, data, sizes, seed, shared=not own)
                 for (of, name), config in choice.configs.items()
                 if of == dataset
             }
             for seed in seeds
         }
         reference = choice.configs[dataset, "behaviour_policy"]
-        behaviour = model_node("behaviour_policy", reference, dataset, data)
+        behaviour = model_node("behaviour_policy", reference, dataset, data, sizes)
         for algorithm in settings.algorithms:
             special = settings.models_for(dataset, algorithm)
             for variant in variants(settings, dataset, algorithm):
@@ -90,6 +92,7 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
                             config,
                             dataset,
                             data,
+                            sizes,
                             fitted,
                             shared=not own,
                             for_algorithm=algorithm,

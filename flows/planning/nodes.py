@@ -5,12 +5,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
+from components.data.sizes import DataSizes
+from components.data.sources.robots import RobotSpec
 from components.data.sources.stored_log import StoredLog
 from components.environments.systems import SYSTEMS
 from components.models import MODELS
 from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Node, digest
-from flows.planning.costs import data_cost
+from flows.planning.costs import data_cost, data_sizes, evaluation_cost
 
 __all__ = [
     "COMPONENTS",
@@ -110,6 +112,7 @@ def model_node(
     model: Any,
     dataset: str,
     data: Node,
+    sizes: DataSizes,
     seed: int = 0,
     *,
     shared: bool = True,
@@ -122,6 +125,7 @@ def model_node(
         model: Its configuration object.
         dataset: Name of the dataset.
         data: The dataset's node.
+        sizes: The dataset's sizes, for the cost.
         seed: Of the fit. Models that all policies of a dataset share have seed 0.
         shared: Whether all policies share the fit; otherwise it belongs to those of this seed.
         for_algorithm: The algorithm for which alone these settings hold; empty for all.
@@ -136,7 +140,7 @@ def model_node(
         config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
-        cost=MODELS[name].cost(model),
+        cost=MODELS[name].cost(model, sizes),
     )
 
 
@@ -168,7 +172,7 @@ def policy_node(
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
         lanes=f"train/{algorithm.name}/{kind}"
         + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
-        cost=algorithm.cost(config),
+        cost=algorithm.cost(config, data_sizes(source)),
     )
 
 
@@ -193,7 +197,15 @@ def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviou
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
         lanes=f"evaluate/{variant.label}/{dataset}",
-        cost=0.1 + 1e-3 * settings.training.snapshots * proximities * protocol.trajectories,
+        cost=evaluation_cost(
+            variant.config,
+            data_sizes(spec),
+            settings.training.snapshots
+            * proximities
+            * protocol.trajectories
+            * min(protocol.horizon, spec.steps),
+            robot=isinstance(spec, RobotSpec),
+        ),
     )
 
 

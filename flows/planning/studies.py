@@ -3,6 +3,7 @@
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node
 from flows.planning.benchmark import data_plan
+from flows.planning.costs import data_sizes
 from flows.planning.nodes import model_node
 from flows.tuning.space import space_of
 from flows.tuning.study import StudySpecification
@@ -17,10 +18,11 @@ def study_specifications(settings: Settings) -> list[StudySpecification]:
     must not.
     """
     data = {node.tags["dataset"]: node for node in data_plan(settings)}
+    sizes = {name: data_sizes(settings.dataset[name]) for name in settings.datasets}
 
     def specification(dataset: str, model: str) -> StudySpecification:
         def node(config: object) -> Node:
-            return model_node(model, config, dataset, data[dataset])
+            return model_node(model, config, dataset, data[dataset], sizes[dataset])
 
         space = space_of(model, settings.dataset[dataset].history)
         start = settings.model_on(dataset, model)

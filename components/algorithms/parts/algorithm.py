@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
+from components.data.sizes import DataSizes, relative_weights
 
 __all__ = ["Algorithm", "PolicyConfig", "per_transition", "per_virtual_step"]
 
@@ -31,8 +32,9 @@ class Algorithm(Generic[C]):
         version: To be raised whenever a change of its code can change results; part of node keys.
         version_with_falls: The same for datasets whose systems can fall, where its code for falls
             alone has changed; None: there is no difference.
-        cost: Core-seconds of one seed at given settings, measured roughly on a computer of 2026.
-            Costs order the nodes, and estimate their time until times of finished nodes are known.
+        cost: Core-seconds of one seed at given settings on data of given sizes, without what is
+            the same for all budgets, measured roughly on a computer of 2026. Costs order the nodes,
+            and estimate their time until times of finished nodes are known.
         needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
         takes_proximity: Whether the proximity is an input of its policies.
         frame_epsilon: Added to every feature's deviation when frames are scaled.
@@ -42,7 +44,7 @@ class Algorithm(Generic[C]):
     config: type[C]
     learner: Callable[[C, LearnerInputs], PolicyLearner]
     version: int
-    cost: Callable[[C], float]
+    cost: Callable[[C, DataSizes], float]
     needs: tuple[str, ...] = ()
     takes_proximity: bool = False
     frame_epsilon: float = 0.0
@@ -67,11 +69,26 @@ class _Virtual(PolicyConfig, Protocol):
     def horizon(self) -> int: ...
 
 
-def per_transition(seconds: float) -> Callable[[_Batched], float]:
-    """The cost of learners on batches, from core-seconds for each transition of a batch."""
-    return lambda config: seconds * float(config.updates * config.batch)
+def per_transition(seconds: float) -> Callable[[_Batched, DataSizes], float]:
+    """The cost of learners on batches.
+
+    Args:
+        seconds: Core-seconds for each transition of a batch, with the default networks on the
+            Industrial Benchmark; others take as much longer as they have more weights.
+    """
+    return lambda config, sizes: (
+        seconds * float(config.updates * config.batch) * relative_weights(config, sizes)
+    )
 
 
-def per_virtual_step(seconds: float) -> Callable[[_Virtual], float]:
-    """The cost of learners on virtual trajectories, from core-seconds for each of their steps."""
-    return lambda config: seconds * float(config.updates * config.trajectories * config.horizon)
+def per_virtual_step(seconds: float) -> Callable[[_Virtual, DataSizes], float]:
+    """The cost of learners on virtual trajectories.
+
+    Args:
+        seconds: As those of :func:`per_transition`, for each step of a virtual trajectory.
+    """
+    return lambda config, sizes: (
+        seconds
+        * float(config.updates * config.trajectories * config.horizon)
+        * relative_weights(config, sizes)
+    )

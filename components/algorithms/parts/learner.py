@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams
-from components.data.batches import LaneData
+from components.data.batches import Batch, LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.policies.policy import Policy, PolicyCard
@@ -30,6 +30,7 @@ __all__ = [
     "Scalars",
     "StackedLearner",
     "adam_each",
+    "bootstrapped",
     "descend",
     "gather_gradients",
     "needed",
@@ -171,6 +172,8 @@ def adam_each(
 
 def gather_gradients(whole: nn.Module, parts: Sequence[nn.Module]) -> None:
     """Give a stack the gradients of its parts, see :func:`~components.networks.lane_groups`."""
+    if len(parts) == 1:  # the stack itself
+        return
     for parameter, *own in zip(whole.parameters(), *(p.parameters() for p in parts), strict=True):
         parameter.grad = torch.cat([p.grad for p in own if p.grad is not None])
 
@@ -182,10 +185,21 @@ def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     gradients of the critic's weights.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    gradients = torch.autograd.grad(loss.sum(), parameters)
+    gradients = torch.autograd.grad(loss, parameters, torch.ones_like(loss))
     for parameter, gradient in zip(parameters, gradients, strict=True):
         parameter.grad = gradient
     optimizer.step()
+
+
+def bootstrapped(batch: Batch, discount: float, values: Tensor) -> Tensor:
+    """Targets ``r + gamma (1 - terminal) V`` of transitions, ``[L, B]``.
+
+    Args:
+        batch: Transitions.
+        discount: gamma.
+        values: ``[L, B]`` V of the next states.
+    """
+    return torch.addcmul(batch.rewards, batch.continues, values, value=discount)
 
 
 def needed(given: Tensor | None, what: str) -> Tensor:
@@ -201,7 +215,8 @@ def needed(given: Tensor | None, what: str) -> Tensor:
 
 def saturation(actions: Tensor) -> Tensor:
     """Share of action entries on a bound (beyond 0.99), ``[L]``."""
-    return (actions.detach().abs() > SATURATED).flatten(1).float().mean(dim=1)
+    beyond = actions.detach().abs() > SATURATED
+    return beyond.flatten(1).mean(dim=1, dtype=actions.dtype)
 
 
 def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:

@@ -24,6 +24,7 @@ from components.algorithms.parts.learner import (
     Scalars,
     StackedLearner,
     adam_each,
+    bootstrapped,
     descend,
     saturation,
 )
@@ -92,13 +93,13 @@ class SoftActorCritic(StackedLearner):
         values: Tensor = self._critics_target(following, actions.squeeze(2)).amin(dim=1)
         temperature = self._log_temperature.value.exp()[:, None]
         ahead = values - temperature * density.squeeze(2)
-        return batch.rewards + self._discount * batch.continues * ahead
+        return bootstrapped(batch, self._discount, ahead)
 
     def _actor_loss(self, batch: Batch, noise: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Loss and mean log density of the actions ``[L]``, and metrics."""
         actions, _, density = self._actor.draw(self._actor(batch.observations), noise)
         entropy_cost = lanewise_mean(density)
-        values = self._critics(batch.observations, actions.squeeze(2)).amin(dim=1)
+        values = self._critics.least(batch.observations, actions.squeeze(2))
         temperature = self._log_temperature.value.detach().exp()
         loss = temperature * entropy_cost - lanewise_mean(values)
         return (
@@ -130,7 +131,7 @@ class SoftActorCritic(StackedLearner):
         descend(self._optimizers["actor"], actor_loss)
         surplus = entropy_cost - own.shape[-1]  # log density above that of the target entropy
         descend(self._optimizers["log_temperature"], -self._log_temperature.value * surplus)
-        polyak_update(self._critics_target, self._critics, self._target_rate)
+        polyak_update([(self._critics_target, self._critics)], self._target_rate)
         return metrics | {
             "critic/loss": critic_loss.detach(),
             "critic/target_mean": lanewise_mean(targets),

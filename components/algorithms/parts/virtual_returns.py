@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.learner import LearnerInputs, start_rows
-from components.core.random_streams import Draw
+from components.core.draws import Choice, Draw
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
@@ -41,7 +41,7 @@ class VirtualReturns:
     def start_draw(self, batch: int, window: int, after: int) -> Draw:
         """Drawing rule of start states, see :func:`.learner.start_rows`."""
         starts = [start_rows(dataset, window, after) for dataset in self._data.datasets]
-        return lambda g, lane, steps: g.choice(starts[lane], size=(steps, batch))
+        return Choice(starts, batch)
 
     def of(self, start: Tensor, act: Callable[[Tensor], Tensor]) -> Tensor:
         """Scaled discounted returns ``[L, B]`` from the logged states ``start [L, B]`` on."""

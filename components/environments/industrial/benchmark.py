@@ -18,11 +18,13 @@ operations into buffers allocated once.
 
 import math
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from components.environments.industrial.arithmetic import number
 from components.environments.industrial.fatigue import Fatigue
 from components.environments.industrial.goldstone import decode_latents
 from components.environments.industrial.mis_calibration import MisCalibration
@@ -55,6 +57,8 @@ _COST_WEIGHTS = np.array([0.11111, 0.22222, 0.33333, 0.22222, 0.11111, 0.0, 0.0,
 _COST_RATES = np.array([0.04, 0.025, 0.0])
 _REWARD_RATES = np.array([-0.03, -0.01])
 _COST_STEPS = _COST_WEIGHTS.size
+_PENALTY, _CONSUMPTION_SPREAD, _ONE = number(25.0), number(0.005), number(1.0)
+_WORTH_A_THREAD = 500  # copies; for fewer, asking another thread takes longer than their draws
 
 Array = NDArray[np.float64]
 
@@ -65,6 +69,8 @@ class IndustrialBenchmark:
     Args:
         copies: number of copies N.
         setpoint: load demanded from the machine, 0 ... 100.
+        threads: with 2 or more, and many copies, one draws the noise of coming steps while another
+            moves the copies; the numbers do not depend on it.
 
     Attributes:
         frame_features: `FRAME_FEATURES`.
@@ -72,12 +78,12 @@ class IndustrialBenchmark:
         terminated: `[N]` all false: the machine never terminates.
 
     Raises:
-        ValueError: a copy count below one or a setpoint outside 0 ... 100.
+        ValueError: a copy or thread count below one, or a setpoint outside 0 ... 100.
     """
 
-    def __init__(self, copies: int, setpoint: float = 70.0) -> None:
-        if copies < 1:
-            raise ValueError(f"copies is {copies}; give at least 1.")
+    def __init__(self, copies: int, setpoint: float = 70.0, threads: int = 1) -> None:
+        if copies < 1 or threads < 1:
+            raise ValueError(f"copies is {copies} and threads is {threads}; give at least 1.")
         if not 0.0 <= setpoint <= 100.0:
             raise ValueError(f"setpoint is {setpoint}; give a number from 0 to 100.")
         self.copies = copies
@@ -87,7 +93,10 @@ class IndustrialBenchmark:
         self.terminated = np.zeros(copies, dtype=np.bool_)
         # row k: the weights of the cost ring when its oldest entry sits in row k
         self._ring_weights = np.stack([np.roll(_COST_WEIGHTS, k) for k in range(_COST_STEPS)])
+        self._setpoint_cost = number(0.02 * self.setpoint)
         self._noise: NoiseSource | None = None
+        several = threads > 1 and copies >= _WORTH_A_THREAD
+        self._later = ThreadPoolExecutor(1).submit if several else None
         self._allocate()
 
     def _allocate(self) -> None:
@@ -132,7 +141,7 @@ class IndustrialBenchmark:
                 range.
         """
         if rng is not None:
-            self._noise = DrawnNoise(rng, self.copies)
+            self._noise = DrawnNoise(rng, self.copies, self._later)
         if self._noise is None and noise is None:
             raise ValueError(
                 "the first reset needs a generator; pass rng=numpy.random.default_rng(seed)."
@@ -177,7 +186,7 @@ class IndustrialBenchmark:
         self._mis_calibration.latents[:] = 3 * start.latents + 1
         self._oldest = 0
         costs = start.operational_costs
-        self._costs[:] = self._operational_cost() if costs is None else costs
+        self._costs[:] = self._operational_cost(np.empty(self.copies)) if costs is None else costs
 
     def step(self, actions: ArrayLike, noise: NoiseSource | None = None) -> tuple[Array, Array]:
         """Move every copy by one step.
@@ -223,17 +232,16 @@ class IndustrialBenchmark:
             raise ValueError("actions hold a value that is not a number; the copies did not move.")
         self._steerings, self._delta = delta, steerings
 
-    def _operational_cost(self) -> Array:
-        """Equation 3.3; the result is a buffer, which the next step overwrites."""
+    def _operational_cost(self, into: Array) -> Array:
+        """Equation 3.3."""
         cost = self._cost
         np.dot(_COST_RATES, self._steerings, out=cost)
-        cost += 0.02 * self.setpoint
-        np.exp(cost, out=cost)
-        return cost
+        cost += self._setpoint_cost
+        return np.exp(cost, out=into)
 
     def _convolve(self) -> None:
         """Equation 3.4."""
-        self._costs[self._oldest] = self._operational_cost()
+        self._operational_cost(self._costs[self._oldest])
         self._oldest = (self._oldest + 1) % _COST_STEPS
         np.dot(self._ring_weights[self._oldest], self._costs, out=self._convolved)
 
@@ -244,11 +252,11 @@ class IndustrialBenchmark:
         columns[1:4] = self._steerings
         columns[4] = fatigue
         exact, spread = columns[5], self._spread
-        np.multiply(self._mis_calibration.potential, 25.0, out=exact)
+        np.multiply(self._mis_calibration.potential, _PENALTY, out=exact)
         exact += self._convolved
-        exact += 25.0
-        np.multiply(exact, 0.005, out=spread)
-        spread += 1.0
+        exact += _PENALTY
+        np.multiply(exact, _CONSUMPTION_SPREAD, out=spread)
+        spread += _ONE
         spread *= source.consumption()
         exact += spread
         rewards: Array = np.dot(_REWARD_RATES, columns[4:])

@@ -7,11 +7,18 @@ they are evaluated for all copies, in buffers allocated once.
 import numpy as np
 from numpy.typing import NDArray
 
+from components.environments.industrial.arithmetic import SIGN_BIT, number
 from components.environments.industrial.goldstone import ALPHA, BETA, SAFE_ZONE, GoldstoneTables
 
 __all__ = ["MisCalibration"]
 
 Array = NDArray[np.float64]
+
+# A power of zero takes many times as long as one of any other number, and this far below one
+# the result cannot be told from zero beside anything it is added to.
+_SMALLEST_EXCESS = number(1e-140)
+_SHIFT_RATE, _LOWEST, _HIGHEST = number(0.05), number(-1.5), number(1.5)
+_SAFE_ZONE, _ALPHA, _BETA = number(SAFE_ZONE), number(ALPHA), number(BETA)
 
 
 class MisCalibration:
@@ -30,24 +37,27 @@ class MisCalibration:
     def __init__(self, copies: int, setpoint: float) -> None:
         self.latents = np.zeros(copies, dtype=np.intp)
         self.shift, self.potential = np.zeros(copies), np.zeros(copies)
-        self._offset = setpoint / 50.0 + 1.5
+        self._offset = number(setpoint / 50.0 + 1.5)
         self._tables = GoldstoneTables.build()
         self._scaled, self._excess, self._constant = np.empty((3, copies))
-        self._mask = np.empty(copies, dtype=np.bool_)
+        self._side = self._scaled.view(np.int64)
         self._index = np.empty(copies, dtype=np.intp)
 
     def step(self, steering: Array) -> None:
         """Follow the steering `[N]` of the shift (equations 3.5, 3.6 and 3.9-3.16)."""
-        tables, shift, mask, index = self._tables, self.shift, self._mask, self._index
-        np.multiply(steering, 0.05, out=shift)
+        tables, shift, side, index = self._tables, self.shift, self._scaled, self._index
+        np.multiply(steering, _SHIFT_RATE, out=shift)
         shift -= self._offset
-        np.maximum(shift, -1.5, out=shift)
-        np.minimum(shift, 1.5, out=shift)
+        np.maximum(shift, _LOWEST, out=shift)
+        np.minimum(shift, _HIGHEST, out=shift)
 
-        np.greater(shift, SAFE_ZONE, out=mask)
-        np.add(self.latents, mask, out=index)
-        np.less(shift, -SAFE_ZONE, out=mask)
-        index -= mask
+        # one column to the right above the safe zone, one to the left below it
+        np.subtract(_SAFE_ZONE, shift, out=side)
+        np.right_shift(self._side, SIGN_BIT, out=self._side)
+        np.subtract(self.latents, self._side, out=index)
+        np.add(shift, _SAFE_ZONE, out=side)
+        np.right_shift(self._side, SIGN_BIT, out=self._side)
+        index += self._side
         latents = self.latents
         tables.transition.take(index, out=latents, mode="clip")
 
@@ -56,7 +66,7 @@ class MisCalibration:
         np.abs(shift, out=scaled)
         tables.radius.take(latents, out=constant, mode="clip")
         np.subtract(scaled, constant, out=excess)
-        np.maximum(excess, 0.0, out=excess)
+        np.maximum(excess, _SMALLEST_EXCESS, out=excess)
         np.minimum(scaled, constant, out=scaled)
         tables.slope.take(latents, out=constant, mode="clip")
         scaled *= constant
@@ -71,8 +81,8 @@ class MisCalibration:
         np.copysign(scaled, shift, out=excess)
         potential *= excess
         scaled *= scaled
-        np.multiply(scaled, BETA, out=excess)
-        excess -= ALPHA
+        np.multiply(scaled, _BETA, out=excess)
+        excess -= _ALPHA
         excess *= scaled
         potential += excess
 

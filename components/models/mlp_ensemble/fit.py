@@ -28,6 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from components.core.draws import Choice
 from components.core.normaliser import Normaliser
 from components.core.random_streams import LaneStreams, lane_key, spawn_generators
 from components.data.absorbing_states import with_absorbing_states
@@ -274,15 +275,7 @@ def _batches(
         g.integers(trained, size=trained) if config.bootstrap else np.arange(trained)
         for g in spawn_generators(keys, "bootstrap")
     ]
-    return LaneStreams(
-        keys,
-        {
-            "row": lambda g, lane, steps: resampled[lane][
-                g.integers(trained, size=(steps, config.batch))
-            ]
-        },
-        device,
-    )
+    return LaneStreams(keys, {"row": Choice(resampled, config.batch)}, device)
 
 
 def _artifact(

@@ -27,6 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from components.core.draws import Integers
 from components.core.random_streams import LaneStreams, lane_key, spawn_generators
 from components.data.dataset import OfflineDataset
 from components.models.recurrent_ensemble.ensemble import (
@@ -95,11 +96,8 @@ class _EnsembleLearner:
         )
         self._schedule = Schedule(self._optimizer, self._rate)
         count = len(windows.train)
-        self._streams = LaneStreams(
-            keys,
-            {"start": lambda g, lane, steps: g.integers(count, size=(steps, config.batch))},
-            device,
-        )
+        start = Integers([count] * len(keys), config.batch)
+        self._streams = LaneStreams(keys, {"start": start}, device)
 
     def _rate(self, step: int) -> float:
         """One cycle: linear rise to the peak, cosine fall to zero."""

@@ -57,7 +57,7 @@ def prepared(*seeds: int, **changes: Any) -> Any:
 
 def rolled_out(made: Any, step: int = 0) -> tuple[dict[str, torch.Tensor], Any]:
     drawn = {k: v.clone() for k, v in made._streams.at(step).items()}
-    return drawn, made._roll_out(drawn["start"], drawn["noise"])
+    return drawn, made._roll_out(made._starts(drawn), drawn["noise"])
 
 
 def linear_ensemble(

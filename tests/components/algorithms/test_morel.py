@@ -66,7 +66,7 @@ def test_rollouts_by_plain_loops() -> None:
     halted, clamped = set(), 0
     for lane, b in np.ndindex(2, 2 * MEMBERS):
         noise = floats(drawn["noise"])[lane, :, b]
-        row, member = int(drawn["start"][lane, b]), b // 2
+        row, member = int(made._starts(drawn)[lane, b]), b // 2
         rewards, doubts, seen, actions = trajectory_by_loop(made, lane, row, member, noise)
         clamped += int((np.abs(actions) == 1.0).sum())
         threshold = float(made._detector.threshold[lane])
@@ -97,12 +97,12 @@ def test_rollouts_by_plain_loops() -> None:
 
 def test_half_the_trajectories_begin_where_logged_ones_do() -> None:
     made = learner("morel", [LOG], [0], trajectories=200)
-    start = made._streams.at(0)["start"][0]
+    start = made._starts(made._streams.at(0))[0]
     assert set((start[::2] % STEPS).tolist()) == {0}
     assert len(set(start[::2].tolist())) == 6
     # 300 uniform draws of 240 rows: fewer than 120 different ones have no chance to speak of
     assert len(set(start[1::2].tolist())) > 120
-    assert not torch.equal(made._streams.at(1)["start"], start)
+    assert not torch.equal(made._starts(made._streams.at(1))[0], start)
 
 
 def advantages_by_loop(rolled: Any, lane: int) -> np.ndarray:

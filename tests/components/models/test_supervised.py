@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.models import supervised
 from components.models.supervised import Monitor, StackedFit, ended_at, nothing_learned
 from components.training.divergence import DivergedError
@@ -35,7 +36,7 @@ def pulled(network: Points, drawn: Mapping[str, Tensor]) -> tuple[Tensor, dict[s
 
 
 def fitting(*names: object, **options: Any) -> StackedFit[Points]:
-    streams = LaneStreams(keys(*names), {"place": normal_draw(2, 3)}, CPU)
+    streams = LaneStreams(keys(*names), {"place": Normal(2, 3)}, CPU)
     settings = {"learning_rate": 0.1} | options
     return StackedFit(Points(len(names)), len(names), pulled, streams, **settings)
 
@@ -126,7 +127,7 @@ def test_what_the_monitor_raises_ends_the_fit() -> None:
 @pytest.mark.parametrize("schedule", ["constant", "cosine"])
 def test_rates_by_hand(schedule: str) -> None:
     """Adam's first two steps under a gradient of constant sign are the rates themselves."""
-    streams = LaneStreams(keys("a"), {"place": normal_draw(2, 3)}, CPU)
+    streams = LaneStreams(keys("a"), {"place": Normal(2, 3)}, CPU)
 
     def slope(network: Points, drawn: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
         return network.place.view(1, 2, 3).sum(dim=(1, 2)), {}
@@ -181,7 +182,7 @@ def test_interrupted_equals_uninterrupted(
     save_always(monkeypatch, supervised)
 
     def run(checkpoint: Path | None) -> tuple[StackedFit[Points], Curves]:
-        found = fitting("a", "b", schedule="cosine", learning_rate=1.0)
+        found = fitting("h", "i", schedule="cosine", learning_rate=1.0)
         curves = found.run(
             lambda network: network.place.view(2, 6).square().sum(dim=1),
             "ab",

@@ -81,10 +81,10 @@ def test_initial_weights_fill_the_range_of_the_fan_in() -> None:
 def test_polyak_update_by_hand() -> None:
     target, online = stack(0), stack(1)
     before = [p.detach().clone() for p in target.parameters()]
-    polyak_update(target, online, 0.25)
+    polyak_update([(target, online)], 0.25)
     for old, new, p in zip(before, online.parameters(), target.parameters(), strict=True):
         torch.testing.assert_close(p, 0.25 * new + 0.75 * old)
-    polyak_update(target, online, 1.0)
+    polyak_update([(target, online)], 1.0)
     for new, p in zip(online.parameters(), target.parameters(), strict=True):
         torch.testing.assert_close(p, new)
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.models.recurrent_ensemble import fit as recurrent_fit
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from components.models.recurrent_ensemble.windows import TrainingWindows
@@ -69,7 +70,7 @@ def test_all_learners_are_captured_in_one_process(tf32: bool) -> None:
 
 def test_replayed_fits_follow_their_schedules() -> None:
     def fit() -> StackedFit[Points]:
-        streams = LaneStreams(keys("a", "b"), {"place": normal_draw(2, 3)}, GPU)
+        streams = LaneStreams(keys("a", "b"), {"place": Normal(2, 3)}, GPU)
         made = StackedFit(
             Points(2).to(GPU), 2, pulled, streams, learning_rate=0.1, schedule="cosine"
         )
@@ -95,7 +96,7 @@ def test_what_cannot_be_captured_goes_on_as_it_is() -> None:
             return made
 
     def fit(kind: type) -> StackedFit[Points]:
-        streams = LaneStreams(keys("a", "b"), {"place": normal_draw(2, 3)}, GPU)
+        streams = LaneStreams(keys("a", "b"), {"place": Normal(2, 3)}, GPU)
         made: StackedFit[Points] = kind(Points(2).to(GPU), 2, pulled, streams, learning_rate=0.1)
         return made
 

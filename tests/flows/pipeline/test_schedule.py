@@ -8,10 +8,11 @@ from rich.console import Console
 
 from components.core.files import write_json
 from components.core.sealed import seal
+from flows.pipeline.costs import CostModel
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.run_state import ComponentState, RunState
-from flows.pipeline.schedule import CostModel, Group, form_groups, simulate_schedule
+from flows.pipeline.schedule import Group, form_groups, simulate_schedule
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.worker import GroupResult
 from tests.flows.pipeline.toys import node, record_of
@@ -68,30 +69,10 @@ def test_estimate_simulates_the_schedule(
     assert max(simulate_schedule(groups, seconds, slots).values()) == whole
 
 
-def test_estimate_learns_from_what_was_measured(tmp_path: Path) -> None:
-    def record(component: str, algorithm: str, seconds: float, **more: bool) -> dict:
-        tags = {"algorithm": algorithm}
-        return {"component": component, "tags": tags, "cost": 2.0, "seconds": seconds, **more}
-
-    costs = CostModel([record("toys", "total", 10.0), record("toys", "other", 2.0)])
-    total = node("total", "t", tmp_path, cost=3.0)
-    assert costs.seconds([total]) == 15.0
-    costs.learn(record("toys", "total", 1000.0, resumed=True))
-    assert costs.seconds([total]) == 15.0
-    # An algorithm never seen takes the component's median ratio: between 5 and 1.
-    assert costs.seconds([node("number", "n", tmp_path, cost=3.0)]) == 9.0
-    assert costs.seconds([node("number", "n", tmp_path, component="new", cost=3.0)]) == 3.0
-
-
 class Screen(Display):
     def __init__(self, *, terminal: bool = False) -> None:
         self.file = io.StringIO()
         super().__init__(Console(file=self.file, width=120, force_terminal=terminal))
-
-
-def test_a_time_below_zero_is_no_measurement() -> None:
-    costs = CostModel([{"component": "data", "cost": 1.0, "seconds": -3600.0, "tags": {}}])
-    assert not costs.measured
 
 
 def test_plan_is_shown_with_counts_and_estimate(store: ArtifactStore, tmp_path: Path) -> None:

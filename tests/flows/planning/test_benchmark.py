@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from components.algorithms import ALGORITHMS
+from components.data.sizes import DataSizes
 from components.models import MODELS
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
@@ -146,7 +147,9 @@ STORED = {
 def test_fits_of_unchanged_models_keep_the_keys_under_which_they_are_stored() -> None:
     # Rightly fails for a kind whose defaults or version change; then its line goes.
     data = Node("data_generation", "data/log", "tasks:generate", 2, {"seed": 0})
-    found = {n: nodes.model_node(n, MODELS[n].config(), "log", data).key for n in STORED}
+    found = {
+        n: nodes.model_node(n, MODELS[n].config(), "log", data, DataSizes()).key for n in STORED
+    }
     assert found == STORED
 
 

@@ -141,6 +141,22 @@ def test_same_seed_same_run_other_seed_other_run() -> None:
     assert not np.array_equal(run(1), run(2))
 
 
+def test_a_second_thread_changes_no_number() -> None:
+    def run(threads: int) -> Array:
+        machines = IndustrialBenchmark(600, threads=threads)
+        rng = np.random.default_rng(0)
+        drift = rng.uniform(-0.9, 0.9, (600, 3))
+        frames = [machines.reset(np.random.default_rng(seed=1))]
+        for step in range(60):  # several blocks of draws
+            actions = drift + rng.uniform(-1.0, 1.0, (600, 3))
+            frames.append(machines.step(actions)[0])
+            if step == 20:  # in the middle of a block that is being drawn
+                frames.append(machines.reset(np.random.default_rng(seed=2)))
+        return np.stack(frames)
+
+    np.testing.assert_array_equal(run(1), run(2))
+
+
 def test_copies_have_their_own_noise_and_do_not_feel_each_other() -> None:
     def run(others: float) -> Array:
         machines = IndustrialBenchmark(3)
@@ -294,7 +310,8 @@ def test_the_draws_of_a_step_are_independent() -> None:
     for _ in range(steps):
         base, uniform, _ = noise.fatigue(np.full((2, copies), 0.999))
         saturation = noise.saturation(np.ones(copies, dtype=np.bool_))
-        drawn.append(np.stack([*base, *uniform, saturation, noise.consumption()]))
+        logit = np.log(saturation / (1.0 - saturation))
+        drawn.append(np.stack([*base, *uniform, (logit - 2.4) / 0.4, noise.consumption()]))
     values = np.concatenate(drawn, axis=1)  # [6, draws]
     far = 5.0 / math.sqrt(copies * steps)  # five standard errors of a correlation
     np.testing.assert_allclose(np.corrcoef(values), np.eye(6), atol=far)
@@ -326,6 +343,8 @@ def test_bad_start_states_are_refused(start: dict[str, float], message: str) -> 
 def test_misuse_is_refused() -> None:
     with pytest.raises(ValueError, match="at least 1"):
         IndustrialBenchmark(0)
+    with pytest.raises(ValueError, match="threads is 0"):
+        IndustrialBenchmark(1, threads=0)
     with pytest.raises(ValueError, match="from 0 to 100"):
         IndustrialBenchmark(1, setpoint=101.0)
     machines = IndustrialBenchmark(2)
