@@ -40,9 +40,9 @@ from components.models import MODELS
 from flows.pipeline.signals import ending_signals, exit_code
 from flows.tasks.memory import keep_freed_memory
 
-__all__ = ["UNITS", "main", "measured"]
+__all__ = ["RESULTS", "UNITS", "Unit", "described", "main", "measured", "serve", "settings_of"]
 
-_RESULTS = Path(__file__).with_name("results")
+RESULTS = Path(__file__).with_name("results")
 _MARK = "row: "
 _LONGEST = 300.0  # seconds of a benchmark; then it is stopped
 
@@ -101,7 +101,7 @@ def _units() -> dict[str, Unit]:
 UNITS: Mapping[str, Unit] = _units()
 
 
-def _serve(name: str, settings: Settings) -> None:
+def serve(name: str, settings: Settings, units: Mapping[str, Unit] = UNITS) -> None:
     """Measure one benchmark in this process; print a line of JSON per row."""
     beside = name.endswith(("-d3rlpy", "-jax"))
     # threads of ours would wait for work by spinning, and disturb a peer
@@ -109,12 +109,17 @@ def _serve(name: str, settings: Settings) -> None:
     keep_freed_memory()
     if settings.on_a_gpu:
         torch.cuda.set_device(settings.place)
-    for row in UNITS[name](settings):
+    for row in units[name](settings):
         print(_MARK + json.dumps(dataclasses.asdict(row)), flush=True)
 
 
 def measured(
-    name: str, settings: Settings, longest: float = _LONGEST, *, inner: bool = False
+    name: str,
+    settings: Settings,
+    longest: float = _LONGEST,
+    *,
+    inner: bool = False,
+    module: str = "benchmarks.run",
 ) -> list[Row]:
     """Rows of a benchmark, measured in a process of its own; of a failure one that says so.
 
@@ -123,10 +128,11 @@ def measured(
         settings: How to measure.
         longest: Seconds after which it is stopped, with all that it has started.
         inner: Whether another benchmark asks for it, with which it is to be stopped.
+        module: Whose `--serve` measures it.
     """
     if name.endswith(("-d3rlpy", "-jax")) and not Path(settings.peer).is_file():
         return [Row(unit=name, name=name, note="left out: `make peers` installs its peer")]
-    command = [sys.executable, "-m", "benchmarks.run", "--serve", name]
+    command = [sys.executable, "-m", module, "--serve", name]
     command.append(json.dumps(dataclasses.asdict(settings)))
     own = os.environ | {"OMP_NUM_THREADS": str(settings.threads), "OMP_WAIT_POLICY": "ACTIVE"}
     root = Path(__file__).resolve().parents[1]
@@ -173,7 +179,7 @@ def _commit() -> str:
     return found.stdout.strip()
 
 
-def _computer(settings: Settings) -> dict[str, object]:
+def described(settings: Settings) -> dict[str, object]:
     names = ("torch", "numpy", "mujoco", "gymnasium", "ray", "mlflow")
     described: dict[str, object] = {
         "date": datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="minutes"),
@@ -204,7 +210,7 @@ def _differs(old: Mapping[str, object], new: Mapping[str, object]) -> str:
     return f"{changed[0]} {old.get(changed[0], 'unknown')}" if changed else ""
 
 
-def _settings(options: argparse.Namespace) -> Settings:
+def settings_of(options: argparse.Namespace, everything: bool) -> Settings:
     torch.set_num_threads(options.threads)
     limits = Limits.measured(torch.device(options.device), options.quick)
     torch.set_num_threads(1)  # nothing is computed here any more
@@ -212,7 +218,7 @@ def _settings(options: argparse.Namespace) -> Settings:
     return Settings(
         device=options.device,
         threads=options.threads,
-        everything=options.all,
+        everything=everything,
         quick=options.quick,
         peer=str(options.peer.absolute()),  # not resolved: the link makes it an environment
         matrix_rate=limits.matrix_rate,
@@ -247,12 +253,12 @@ def main() -> None:
         "--all", action="store_true", help="80 lanes on a CPU too, nothing left out"
     )
     parser.add_argument("--peer", type=Path, default=PEER, help="a Python with d3rlpy and JAX")
-    parser.add_argument("--results", type=Path, default=_RESULTS, help="folder of the two files")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the two files")
     parser.add_argument("--resume", type=Path, metavar="FILE.json", help="a run that was stopped")
     parser.add_argument("--serve", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.serve is not None:
-        _serve(options.serve[0], Settings(**json.loads(options.serve[1])))
+        serve(options.serve[0], Settings(**json.loads(options.serve[1])))
         return
     if options.list:
         print("\n".join(UNITS))
@@ -265,8 +271,8 @@ def main() -> None:
         old = Results.read(options.resume) if options.resume else None
     except ValueError as error:
         parser.error(str(error))
-    settings = _settings(options)
-    computer = _computer(settings)
+    settings = settings_of(options, options.all)
+    computer = described(settings)
     if old is not None and (changed := _differs(old.computer, computer)):
         parser.error(f"{options.resume} was begun with {changed}; give the same, or begin anew.")
     results = old or Results(computer)
