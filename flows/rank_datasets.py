@@ -179,11 +179,12 @@ _FILES = ("ranking.csv", "eas_over_clips.csv", "ranking.md", "ranking.png", "eas
 
 def _run(settings: Settings) -> int:
     plan = ranking_plan(settings)
-    store = ArtifactStore(settings.store, create=not settings.dry_run)
-    name = f"ranking-{sweep_name(settings, plan)}"
-    keys = {node.tags["dataset"]: node.key for node in plan if node.component == "data_generation"}
+    generations = plan.by_component()["data_generation"]
+    keys = {node.tags["dataset"]: node.key for node in generations}
     results = achieved(settings.store, keys, settings.ranking.report)
     results.algorithm(settings.ranking.algorithm)  # refused before anything starts
+    store = ArtifactStore(settings.store, create=not settings.dry_run)
+    name = f"ranking-{sweep_name(settings, plan)}"
 
     def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
         logs = _measured(settings, plan, store, results)

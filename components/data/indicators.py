@@ -151,6 +151,8 @@ def expected_return_improvement(facts: LogFacts, floor: float) -> float:
 
     A log of a single window, or of equal returns, has 0.
     """
+    if facts.return_max == facts.return_min:  # their mean may differ from them by rounding
+        return 0.0
     return (facts.return_max - facts.return_mean) / (facts.return_mean - floor + _EPSILON)
 
 
