@@ -56,7 +56,7 @@ class StochasticityConfig:
     clip: float = 0.9  # logged actions are clipped to +- this before the inverse tanh
     clips: tuple[float, ...] = (0.7, 0.8, 0.9, 0.95, 0.97, 0.99, 0.999)  # shown beside it
     hidden: tuple[int, ...] = (64, 64)  # layer widths of the trunk
-    updates: int = 1000  # whatever the size of the log
+    updates: int = 600  # whatever the size of the log
     batch: int = 256  # transitions per update
     learning_rate: float = 2e-3  # Adam, at the start; falls to zero along half a cosine
 
