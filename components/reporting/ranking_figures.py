@@ -29,6 +29,9 @@ def ranking_figure(logs: Sequence[Measured], algorithm: str | None) -> Figure:
     else:
         _scatter(left, names, [log.improvement(algorithm) for log in logs], eri)
         left.set_xlabel(f"true return improvement (TRI) by {algorithm}")
+        left.set_xscale("symlog", linthresh=0.01)  # a bad controller can be improved a hundredfold
+    if min(eri) > 0:
+        left.set_yscale("log")
     left.set_ylabel("expected return improvement (ERI)")
     truth = [log.facts.epsilon if log.generated else math.nan for log in logs]
     if any(not math.isnan(value) for value in truth):
@@ -85,8 +88,6 @@ def _scatter(axes: Axes, names: Sequence[str], x: Sequence[float], y: Sequence[f
         axes.annotate(
             name, (across, up), xytext=(4, 3), textcoords="offset points", fontsize="x-small"
         )
-    if len(shown) > 1 and min(up for _, _, up in shown) > 0:
-        axes.set_yscale("log")
     _plain(axes)
 
 
