@@ -23,6 +23,7 @@ from flows.configuration.sections import (
     ExpertsSettings,
     ModelConfigs,
     ModelsSettings,
+    RankingSettings,
     RunnerSettings,
     Seeds,
     SpecialSettings,
@@ -108,6 +109,7 @@ class Settings(StrictModel):
     aggregation: AggregationSettings
     models: ModelsSettings
     tuning: TuningSettings
+    ranking: RankingSettings
     experts: ExpertsSettings
     runner: RunnerSettings
     store: Annotated[Path, BeforeValidator(_folder)]
