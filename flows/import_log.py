@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from minari.storage.datasets_root_dir import get_dataset_path
 from omegaconf import OmegaConf
 from pydantic import Field
 from rich.console import Console
@@ -21,7 +20,7 @@ from components.data.imports.minari_table import MinariTable
 from components.data.imports.report import FIGURE, report_figure, report_text
 from components.data.imports.schema import LogError, LogSchema, Repairs
 from components.data.imports.tables import ParquetTable, Table
-from components.data.sources.minari_exchange import ForeignDatasetError, import_minari
+from components.data.sources.minari_exchange import ForeignDatasetError, import_minari, minari_root
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
@@ -221,7 +220,7 @@ def _tables(words: Sequence[str], form: CsvFormat) -> list[Table]:
         path = Path(word).expanduser()
         if word.startswith(_MINARI):
             dataset_id = word.removeprefix(_MINARI)
-            tables.append(MinariTable(dataset_id, Path(get_dataset_path())))
+            tables.append(MinariTable(dataset_id, minari_root()))
         elif path.is_dir():
             tables += _tables_below(path, form)
         elif path.is_file():
@@ -268,10 +267,12 @@ def _own_export(settings: ImportSettings) -> Imported | None:
     """
     if len(settings.files) != 1 or not settings.files[0].startswith(_MINARI):
         return None
-    dataset_id = settings.files[0].removeprefix(_MINARI)
+    [table] = _tables(settings.files, CsvFormat())
+    assert isinstance(table, MinariTable)
+    _ = table.folder  # refuses files that would read others
     try:
-        dataset = import_minari(dataset_id, Path(get_dataset_path()))
-    except (ForeignDatasetError, FileNotFoundError):
+        dataset = import_minari(table.dataset_id, table.root)
+    except ForeignDatasetError:
         return None
     except ValueError as error:
         raise SettingsError(str(error)) from error

@@ -79,7 +79,7 @@ def import_tables(
     refuse_empty_columns(columns[:-1], _at_steps(arrays, layout))
     warnings = warnings_about(columns, arrays, schema.history, fitted=not schema.weights)
     if schema.known is not None:
-        _check_known(arrays, schema, layout, columns[-1].place)
+        _check_known(arrays, schema, layout, columns[0].place)
     try:
         dataset = assemble(
             arrays,
@@ -266,7 +266,8 @@ def _check_known(
         if wrong.any():
             step = int(wrong.argmax())
             raise LogError(
-                f"{place(step)}: {name!r} goes from {before[step]:g} to {after[step]:g}, but known "
-                f"says that {follower.action!r} moves it to {expected[step]:g} "
+                f"{place(int(rows[step]) + 1)}: {name!r} goes from {before[step]:g} to "
+                f"{after[step]:g}, but known says that {follower.action!r} moves it to "
+                f"{expected[step]:g} "
                 f"({int(wrong.sum())} such steps of {len(wrong)}); correct known or leave it out."
             )

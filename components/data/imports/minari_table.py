@@ -39,7 +39,12 @@ class MinariTable:
         return f"minari:{self.dataset_id}"
 
     @cached_property
-    def _dataset(self) -> Any:
+    def folder(self) -> Path:
+        """Where its files are.
+
+        Raises:
+            LogError: There is none, or one of its files would read another one.
+        """
         folder = self.root / self.dataset_id / "data"
         if not folder.is_dir():
             raise LogError(
@@ -48,8 +53,12 @@ class MinariTable:
             )
         for file in sorted(folder.glob("*.hdf5")):
             _refuse_links(file, self.name)
+        return folder
+
+    @cached_property
+    def _dataset(self) -> Any:
         try:
-            return minari.MinariDataset(folder)
+            return minari.MinariDataset(self.folder)
         except Exception as error:  # Minari and HDF5 raise whatever they stumble over
             raise LogError(f"{self.name} is damaged ({error}); download it again.") from error
 
@@ -128,14 +137,11 @@ def _flat(space: Any, what: str) -> int:
     """The number of values of a flat box."""
     if not isinstance(space, spaces.Box):
         kind = type(space).__name__
-        raise LogError(
-            f"{what} are of the kind {kind}; only flat boxes of numbers can be imported."
-        )
+        raise LogError(f"{what} are of the kind {kind}; only flat boxes can be imported.")
     if len(space.shape) != 1:
         seems = "images" if len(space.shape) == 3 else "arrays"
         raise LogError(
-            f"{what} are {seems} of the shape {space.shape}; only flat boxes of numbers can be "
-            "imported."
+            f"{what} are {seems} of the shape {space.shape}; only flat boxes can be imported."
         )
     return int(space.shape[0])
 

@@ -22,7 +22,7 @@ _BLOCKS: Final = 48
 _LEAST_IN_BLOCK: Final = 20
 _PROBE: Final = 1000  # rows compared first
 _SAMPLED: Final = 2000  # rows looked at of a block
-_JUMP: Final = 6.0
+_JUMP: Final = 4.0
 """A jump moves the medians by so many of their own deviations on either side."""
 _SCALED: Final = 4.0  # a change of units multiplies the spread by at least so much
 _FITTED: Final = 20_000  # transitions that the reward is fitted to
