@@ -160,56 +160,79 @@ def _arrays(
     terminated = rows.terminal[outcome]
     truncated = np.zeros_like(terminated)
     truncated[starts[1:] - 1] = ~terminated[starts[1:] - 1]
-    frame_rows = np.flatnonzero(kept)
+    frames = rows.features
     if repeated.any():
-        frame_rows = np.repeat(frame_rows, 1 + np.isin(frame_rows, (ends - 1)[repeated]))
-    whole = len(frame_rows) == len(kept)
-    frames = _picked(rows.features, None if whole else frame_rows, layout.feature_columns)
-    acted = np.flatnonzero(acting)
+        counts = kept.astype(np.int64)
+        counts[(ends - 1)[repeated]] = 2
+        frames = np.repeat(frames, counts, axis=0)
+    elif not kept.all():
+        frames = frames[kept]
     arrays = {
-        "frames": frames,
-        "actions": _picked(rows.actions, acted, layout.action_columns),
+        "frames": _ordered(frames, layout.feature_columns),
+        "actions": _ordered(rows.actions[acting], layout.action_columns),
         "rewards": rows.rewards[outcome],
         "terminated": terminated,
         "truncated": truncated,
         "episode_starts": starts,
     }
-    place = rows.place
-    reward_rows = np.flatnonzero(outcome)
+    return arrays, _columns(arrays, rows.place, begins, schema, layout)
+
+
+def _columns(
+    arrays: dict[str, NDArray[Any]],
+    place: Callable[[int], str],
+    begins: NDArray[np.int64],
+    schema: LogSchema,
+    layout: _Layout,
+) -> list[Column]:
+    """Features, actions and the reward, with the rows of the log that they come from."""
+    starts = arrays["episode_starts"]
+    first_frames = starts + np.arange(len(starts))
+
+    def of_frame(frame: int) -> str:
+        episode = int(np.searchsorted(first_frames, frame, side="right")) - 1
+        return place(int(begins[episode] + frame - first_frames[episode]))
+
+    def of_step(step: int, later: int = 0) -> str:
+        episode = int(np.searchsorted(starts, step, side="right")) - 1
+        return place(int(begins[episode] + step - starts[episode] + later))
+
     columns = [
-        Column(schema.features[k], "feature", frames[:, n], lambda i: place(int(frame_rows[i])))
+        Column(schema.features[k], "feature", arrays["frames"][:, n], of_frame)
         for n, k in enumerate(layout.feature_columns)
     ]
     order = tuple(schema.actions)
     columns += [
-        Column(order[k], "action", arrays["actions"][:, n], lambda i: place(int(acted[i])))
+        Column(order[k], "action", arrays["actions"][:, n], of_step)
         for n, k in enumerate(layout.action_columns)
     ]
+    later = 0 if schema.same_row else 1
     named = schema.reward or REWARD
-    columns.append(Column(named, "reward", arrays["rewards"], lambda i: place(int(reward_rows[i]))))
-    return arrays, columns
+    return [*columns, Column(named, "reward", arrays["rewards"], lambda i: of_step(i, later))]
 
 
-def _at_steps(arrays: dict[str, NDArray[Any]], layout: _Layout) -> list[NDArray[Any]]:
-    """Features and actions in the log's units, where steps begin."""
-    lengths = np.diff(arrays["episode_starts"])
-    rows = np.arange(len(arrays["actions"])) + np.repeat(np.arange(len(lengths)), lengths)
-    features = [column[rows] for column in arrays["frames"].T]
-    actions = [
-        low + (column + 1) / 2 * (high - low)
-        for column, (low, high) in zip(arrays["actions"].T, layout.bounds, strict=True)
-    ]
-    return [*features, *actions]
+def _at_steps(
+    arrays: dict[str, NDArray[Any]], layout: _Layout
+) -> Callable[[int, int | None], NDArray[Any]]:
+    """What gives the n-th feature or action in the log's units, where steps begin."""
+    ends = arrays["episode_starts"][1:]
+
+    def values(n: int, steps: int | None) -> NDArray[Any]:
+        features = len(layout.features)
+        if n < features:
+            last = ends + np.arange(len(ends))
+            column = arrays["frames"][: None if steps is None else 2 * steps, n]
+            return np.delete(column, last[last < len(column)])[:steps]
+        low, high = layout.bounds[n - features]
+        return low + (arrays["actions"][:steps, n - features] + 1) / 2 * (high - low)
+
+    return values
 
 
-def _picked(
-    values: NDArray[np.float32], rows: NDArray[np.int64] | None, columns: tuple[int, ...]
-) -> NDArray[np.float32]:
-    """Rows and columns of an array; the array itself where these are all."""
-    picked = values if rows is None else values[rows]
-    if columns != tuple(range(values.shape[1])):
-        picked = picked[:, columns]
-    return np.ascontiguousarray(picked)
+def _ordered(values: NDArray[np.float32], columns: tuple[int, ...]) -> NDArray[np.float32]:
+    """An array with its columns in another order; the array itself where it is the same."""
+    same = columns == tuple(range(values.shape[1]))
+    return values if same else np.ascontiguousarray(values[:, columns])
 
 
 def _dynamics(schema: LogSchema, layout: _Layout) -> dict[str, Any]:

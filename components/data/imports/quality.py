@@ -47,12 +47,15 @@ class Column:
     place: Callable[[int], str]
 
 
-def refuse_empty_columns(columns: Sequence[Column], at_steps: Sequence[NDArray[Any]]) -> None:
+def refuse_empty_columns(
+    columns: Sequence[Column], at_steps: Callable[[int, int | None], NDArray[Any]]
+) -> None:
     """Refuse columns that never change, and copies of others.
 
     Args:
         columns: Features and actions.
-        at_steps: `[N]` of each, its values in the log's units in the rows where a step begins.
+        at_steps: Values of the n-th one in the log's units, in rows where a step begins; so many
+            of the first, or all.
 
     Raises:
         LogError: Names the columns, and their first row.
@@ -64,17 +67,19 @@ def refuse_empty_columns(columns: Sequence[Column], at_steps: Sequence[NDArray[A
                 f"{column.place(0)}: {column.role} {column.name!r} has one value here and in all "
                 "rows after it; leave out a column that never changes."
             )
-    for (one, first), (other, second) in combinations(zip(columns, at_steps, strict=True), 2):
-        # Single precision has rounded both.
-        near = 1e-6 * float(np.abs(first[:_PROBE]).max())
-        if _equal(first[:_PROBE], second[:_PROBE], near) and _equal(first, second, near):
+    for one, other in combinations(range(len(columns)), 2):
+        # Most columns differ within the first rows, so the others are seldom made.
+        if all(_equal(at_steps(one, rows), at_steps(other, rows)) for rows in (_PROBE, None)):
+            first, second = columns[one], columns[other]
             raise LogError(
-                f"{one.place(0)}: {one.role} {one.name!r} equals {other.role} {other.name!r} here "
-                "and in all rows after it; leave one of them out."
+                f"{first.place(0)}: {first.role} {first.name!r} equals {second.role} "
+                f"{second.name!r} here and in all rows after it; leave one of them out."
             )
 
 
-def _equal(one: NDArray[Any], other: NDArray[Any], near: float) -> bool:
+def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    """Whether two columns are one, but for single precision, which has rounded both."""
+    near = 1e-6 * max(abs(float(one.max())), abs(float(one.min())))
     return bool(np.abs(one - other).max() <= near)
 
 
@@ -123,6 +128,9 @@ def _change(values: NDArray[np.float64], floor: float) -> tuple[int, float, floa
         if not (left.max() < right.min() or right.max() < left.min()):
             continue
         before, after = float(np.median(left)), float(np.median(right))
+        # A change of units takes one row, while drifts and random walks take many blocks.
+        if abs(values[k + 1] - values[k - 1]) < abs(after - before) / 2:
+            continue
         within = 1.4826 * max(
             float(np.median(np.abs(left - before))), float(np.median(np.abs(right - after)))
         )
