@@ -26,6 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from components.core.draws import Integers
 from components.core.random_streams import LaneStreams
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
@@ -165,7 +166,7 @@ def fit_action_stochasticity(
 
     held_out = _spaced(trained, dataset.transitions, _VALIDATED).to(device)
     _begin_at(network, raw_actions(_spaced(0, trained, _BEGUN_WITH).to(device)))
-    rows = {"row": lambda g, lane, steps: g.integers(trained, size=(steps, config.batch))}
+    rows = {"row": Integers([trained], config.batch)}
     fitting = StackedFit(
         network,
         lanes,
