@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from benchmarks import kernels
-from components.core.random_streams import LaneStreams, normal_draw
+from components.core.draws import Normal
+from components.core.random_streams import LaneStreams
 from components.networks import polyak_update
 from components.training.loop import adam
 from tests.test_benchmarks import cells
@@ -37,7 +38,7 @@ def test_a_list_of_tensors_is_one_kernel_of_its_own_purpose() -> None:
 
 
 def test_what_the_streams_compute_counts_as_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = LaneStreams([1], {"noise": normal_draw(2)}, torch.device("cpu"))
+    streams = LaneStreams([1], {"noise": Normal(2)}, torch.device("cpu"))
     at = LaneStreams.at
     monkeypatch.setattr(LaneStreams, "at", lambda own, step: {"noise": at(own, step)["noise"] + 1})
     by_kind, _ = kernels.kernels(lambda: streams.at(0)["noise"] * 2.0)

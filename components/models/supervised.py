@@ -157,7 +157,7 @@ class StackedFit(Generic[N]):
         weight_decay: L2 term inside Adam.
     """
 
-    updates_per_graph = 10
+    updates_per_graph = 50
 
     def __init__(
         self,

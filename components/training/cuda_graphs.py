@@ -170,20 +170,18 @@ class GraphedLearner:
         with self._backend.region():
             step, end = first, first + count
             while step < end:
-                together = self._together(step, count, end)
+                together = self._together(step, end)
                 self._advance(step, together, sums)
                 step += together
 
-    def _together(self, step: int, count: int, end: int) -> int:
-        """Updates of the next graph of a run of ``count``, which is cut into equal graphs.
+    def _together(self, step: int, end: int) -> int:
+        """Updates of the next graph: as many as one holds, or the rest of a run.
 
-        Runs are mostly of one length, and then one graph does for all of them.
+        Runs are mostly of one length, and then two graphs do for all of them.
         """
-        largest = max(n for n in range(1, self._several + 1) if count % n == 0)
-        if step + largest > end:  # some have gone one by one
-            return 1
-        branches = {self._learner.branch(step + i) for i in range(largest)}
-        return 1 if branches & self._ordinary else largest
+        together = min(self._several, end - step)
+        branches = {self._learner.branch(step + i) for i in range(together)}
+        return 1 if branches & self._ordinary else together
 
     def _advance(self, first: int, count: int, sums: MetricSums | None) -> dict[str, Tensor]:
         """Do some updates by one graph, where there is one; the last one's metrics."""

@@ -120,7 +120,7 @@ class StackedLearner:
     """
 
     pretraining: int = 0
-    updates_per_graph: int = 10
+    updates_per_graph: int = 20
     _networks: Mapping[str, nn.Module]
     _optimizers: Mapping[str, torch.optim.Optimizer]
     _streams: LaneStreams

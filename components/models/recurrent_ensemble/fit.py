@@ -62,7 +62,7 @@ VALIDATED = 2000  # approximate number of held-out windows in a validation durin
 class _EnsembleLearner:
     """Adapter of the ensemble to the common training loop."""
 
-    updates_per_graph = 1
+    updates_per_graph = 5
 
     def __init__(
         self,
