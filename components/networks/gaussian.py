@@ -78,7 +78,8 @@ class TanhGaussian(nn.Module):
         """Mean before the tanh and log standard deviation, ``[L, B, A]`` each."""
         mean, spread = self.stack(observations).chunk(2, dim=-1)
         if self.squash:
-            return mean, self.low + 0.5 * (self.high - self.low) * (torch.tanh(spread) + 1.0)
+            middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
+            return mean, half * torch.tanh(spread) + middle
         # clamps; its gradient, 0 on the bounds as beyond them, is one operation instead of five
         return mean, hardtanh(spread, self.low, self.high)
 
