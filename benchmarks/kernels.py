@@ -69,7 +69,9 @@ DRAWS, REST = "draws", "element-wise, sums"
 KINDS = (*_BY_KIND, REST, DRAWS)
 """Purposes, in the order of the table."""
 
-_FREE = frozenset({"empty", "empty_like", "empty_strided", "new_empty", "new_empty_strided"})
+_FREE = frozenset(
+    {"_unsafe_view", "empty", "empty_like", "empty_strided", "new_empty", "new_empty_strided"}
+)
 _SMALL = MappingProxyType({"batch": 8, "rollouts": 50, "trajectories": 4})  # settings, where any
 
 

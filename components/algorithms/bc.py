@@ -11,6 +11,7 @@ from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn.functional import mse_loss
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
@@ -71,7 +72,8 @@ class Learner(StackedLearner):
         """One step towards the logged actions on all lanes."""
         index = self._streams.at(step)["row"]
         actions = self.act(self._data.observations(index))
-        error = lanewise_mean((actions - self._data.actions(index)).square())
+        logged = self._data.actions(index)
+        error = lanewise_mean(mse_loss(actions, logged, reduction="none"))
         descend(self._optimizers["actor"], error)
         return {
             "actor/imitation_error": error.detach(),

@@ -28,6 +28,7 @@ from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn.functional import hardtanh
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
@@ -129,7 +130,7 @@ class Learner(StackedLearner):
     def _perturb(self, actor: StackedMLP, observations: Tensor, generated: Tensor) -> Tensor:
         """Perturbed actions ``[L, B, N, A]``."""
         shift = torch.tanh(actor.over_actions(observations, generated))
-        return torch.add(generated, shift, alpha=self._config.perturbation).clamp(-1.0, 1.0)
+        return hardtanh(torch.add(generated, shift, alpha=self._config.perturbation))
 
     @torch.no_grad()
     def _generate(self, observations: Tensor, noise: Tensor) -> Tensor:

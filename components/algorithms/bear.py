@@ -134,7 +134,7 @@ def mean_discrepancy(x: Tensor, y: Tensor, kernel: str, sigma: float) -> Tensor:
         return torch.exp(apart * (-0.5 / sigma)).mean(dim=(2, 3))
 
     squared = mean_kernel(x, x) + mean_kernel(y, y) - 2.0 * mean_kernel(x, y)
-    return (squared + 1e-6).clamp(min=0.0).sqrt()
+    return torch.relu(squared + 1e-6).sqrt()
 
 
 class Learner(StackedLearner):

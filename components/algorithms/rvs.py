@@ -145,8 +145,9 @@ class Learner(StackedLearner):
         means = self._means(self._data.observations(index), self._returns.gather(1, index))
         log_std = self._head.log_std
         error = self._data.actions(index) - means
-        density = -0.5 * (error / log_std.exp()).square() - log_std - 0.5 * np.log(2.0 * np.pi)
-        loss = -lanewise_mean(density.sum(dim=-1))
+        standardised = error * torch.exp(-log_std)
+        surprise = torch.addcmul(log_std, standardised, standardised, value=0.5).sum(dim=-1)
+        loss = lanewise_mean(surprise) + error.shape[-1] * 0.5 * np.log(2.0 * np.pi)
         descend(self._optimizers["actor"], loss)
         return {
             "actor/loss": loss.detach(),

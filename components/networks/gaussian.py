@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import softplus
+from torch.nn.functional import hardtanh, softplus
 
 from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP
@@ -33,7 +33,7 @@ def raw_actions(actions: Tensor, margin: float) -> Tensor:
         actions: ``[...]`` in [-1, 1].
         margin: Clip to [-1 + margin, 1 - margin].
     """
-    return torch.atanh(actions.clamp(-1.0 + margin, 1.0 - margin))
+    return torch.atanh(hardtanh(actions, -1.0 + margin, 1.0 - margin))
 
 
 def log_density(mean: Tensor, log_std: Tensor, raw: Tensor) -> Tensor:
@@ -78,8 +78,10 @@ class TanhGaussian(nn.Module):
         """Mean before the tanh and log standard deviation, ``[L, B, A]`` each."""
         mean, spread = self.stack(observations).chunk(2, dim=-1)
         if self.squash:
-            return mean, self.low + 0.5 * (self.high - self.low) * (torch.tanh(spread) + 1.0)
-        return mean, spread.clamp(self.low, self.high)
+            middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
+            return mean, half * torch.tanh(spread) + middle
+        # clamps; its gradient, 0 on the bounds as beyond them, is one operation instead of five
+        return mean, hardtanh(spread, self.low, self.high)
 
     @staticmethod
     def sample(parameters: tuple[Tensor, Tensor], noise: Tensor) -> tuple[Tensor, Tensor]:

@@ -192,7 +192,7 @@ def lane_groups(module: Module, lanes: int, groups: int) -> list[tuple[slice, Mo
     Returns:
         Lanes and stack of every part; a single part is the stack itself.
     """
-    if groups == 1:
+    if min(groups, lanes) == 1:
         return [(slice(0, lanes), module)]
     parts = []
     for lanes_of_part in torch.arange(lanes).chunk(groups):

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import mse_loss
+from torch.nn.functional import hardtanh, mse_loss
 
 from components.core.random_streams import spawn_generators
 from components.networks.stacked import StackedMLP, lanewise_mean
@@ -54,7 +54,7 @@ class ConditionalVAE(nn.Module):
         """Mean and log standard deviation ``[L, B, Z]`` of the latents of actions ``[L, B, A]``."""
         encoded = self.encoder(torch.cat([observations, actions], dim=-1))
         mean, log_std = encoded.chunk(2, dim=-1)
-        return mean, log_std.clamp(*_LOG_STD_RANGE)
+        return mean, hardtanh(log_std, *_LOG_STD_RANGE)
 
     def generate(self, observations: Tensor, noise: Tensor) -> Tensor:
         """Actions before the tanh ``[L, B, N, A]`` from normal ``noise [L, B, N, Z]``."""

@@ -173,7 +173,7 @@ def adam_each(
 
 def gather_gradients(whole: nn.Module, parts: Sequence[nn.Module]) -> None:
     """Give a stack the gradients of its parts, see :func:`~components.networks.lane_groups`."""
-    if len(parts) == 1:  # the stack itself
+    if parts[0] is whole:
         return
     for parameter, *own in zip(whole.parameters(), *(p.parameters() for p in parts), strict=True):
         parameter.grad = torch.cat([p.grad for p in own if p.grad is not None])

@@ -124,3 +124,11 @@ def test_parts_of_a_stack_share_its_memory() -> None:
         parts[1][1].affine()[0][0].zero_()
     assert (stack.affine()[0][0][4:] == 0.0).all()
     assert (stack.affine()[0][0][:4] != 0.0).all()
+
+
+@pytest.mark.parametrize(("lanes", "groups"), [(3, 1), (1, 2)])
+def test_a_single_part_is_the_stack_itself(lanes: int, groups: int) -> None:
+    stack = StackedMLP([lane_generator(key) for key in range(2 * lanes)], (3, 4, 1))
+    [(covered, part)] = lane_groups(stack, lanes, groups)
+    assert covered == slice(0, lanes)
+    assert part is stack
