@@ -119,10 +119,15 @@ def _shown(table: pd.DataFrame) -> str:
 
 
 def _sentences(table: pd.DataFrame) -> list[str]:
-    """A sentence per dataset, in the order of the table."""
+    """What is said of every dataset, in the order of the table."""
     return [
         f"{row.dataset}: {row.limit} First guess of λ: {row.proximity_from:.2f} to "
-        f"{row.proximity_to:.2f}."
+        f"{row.proximity_to:.2f}"
+        + (
+            f", since {row.terminated} of {row.episodes} episodes have ended for good."
+            if row.terminated
+            else "."
+        )
         for row in table.itertuples()
     ]
 

@@ -61,6 +61,7 @@ class LogFacts:
         epsilon: Share of its actions that were drawn at random, as far as its card knows.
         actions: Names of the values of an action.
         episodes: Number of episodes.
+        terminated: Episodes that ended for good, as by a fall.
         windows: Episodes with a whole window of returns.
         window: Steps of a window.
         transitions: Number of transitions.
@@ -77,6 +78,7 @@ class LogFacts:
     epsilon: float
     actions: tuple[str, ...]
     episodes: int
+    terminated: int
     windows: int
     window: int
     transitions: int
@@ -114,6 +116,7 @@ def log_facts(dataset: OfflineDataset) -> LogFacts:
         epsilon=card.epsilon,
         actions=tuple(card.action_features),
         episodes=dataset.episodes,
+        terminated=int(np.count_nonzero(dataset.terminated)),
         windows=len(first),
         window=card.return_steps,
         transitions=dataset.transitions,

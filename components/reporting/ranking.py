@@ -100,11 +100,12 @@ def ranking_table(logs: Sequence[Measured], algorithm: str | None) -> pd.DataFra
         ranks(eri), ranks(eas), combined_scores(eri, eas), combined_ranks(eri, eas), strict=True
     )
     for log, (eri_rank, eas_rank, score, coi_rank) in zip(logs, places, strict=True):
-        low, high = initial_proximities(log.eas)
+        low, high = initial_proximities(log.facts, log.eas)
         rows.append(
             {
                 "dataset": log.name,
                 "episodes": log.facts.episodes,
+                "terminated": log.facts.terminated,
                 "transitions": log.facts.transitions,
                 "return_mean": log.facts.return_mean,
                 "return_max": log.facts.return_max,

@@ -14,6 +14,7 @@ LOG = LogFacts(
     epsilon=0.0,
     actions=("gas", "air"),
     episodes=40,
+    terminated=0,
     windows=40,
     window=100,
     transitions=4000,
@@ -68,4 +69,10 @@ def test_everything_that_limits_is_named() -> None:
     ("eas", "highest"), [(0.0, 0.0), (0.09, 0.0), (0.3, 0.15), (0.62, 0.3), (0.89, 0.4), (7.0, 1.0)]
 )
 def test_the_guess_grows_with_exploration(eas: float, highest: float) -> None:
-    assert initial_proximities(eas) == (0.0, highest)
+    assert initial_proximities(LOG, eas) == (0.0, highest)
+
+
+def test_the_guess_is_a_single_step_where_episodes_end_for_good() -> None:
+    falls = dataclasses.replace(LOG, terminated=3)
+    assert initial_proximities(falls, 0.9) == (0.0, 0.05)
+    assert initial_proximities(falls, 0.05) == (0.0, 0.0)

@@ -87,6 +87,14 @@ def test_ranges_of_actions() -> None:
     assert found == pytest.approx((0.9, 0.09, 0.0), abs=1e-6)
 
 
+def test_episodes_that_ended_for_good_are_counted() -> None:
+    log = make_log(episodes=3, steps=20)
+    ended = np.zeros(60, dtype=np.bool_)
+    ended[[19, 59]] = True
+    facts = log_facts(relabelled(log, terminated=ended, truncated=log.truncated & ~ended))
+    assert (facts.terminated, facts.windows) == (2, 3)
+
+
 def test_facts_survive_json() -> None:
     facts = log_facts(make_log(episodes=3, steps=20))
     assert LogFacts.of_record(json.loads(json.dumps(asdict(facts)))) == facts

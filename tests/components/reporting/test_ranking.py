@@ -28,6 +28,7 @@ def measured(name: str, eri: float, eas: float, **changes: object) -> Measured:
         epsilon=0.2,
         actions=("a",),
         episodes=20,
+        terminated=0,
         windows=20,
         window=100,
         transitions=2000,
