@@ -10,7 +10,7 @@ budget; MOPO is timed between roll-outs, which are few and made once here, with 
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from statistics import mean
 from types import MappingProxyType
@@ -37,6 +37,10 @@ RATES: Mapping[str, Mapping[str, int]] = MappingProxyType(
     {"mopo": {"rollouts": 1}, "morel": {"cloning": 0}}
 )
 """Settings under which a plan's cost is that of the updates timed here, and of one lane."""
+_QUICK: Mapping[str, int] = MappingProxyType(
+    {"trajectories": 5, "starts": 5, "horizon": 5, "rollouts": 50, "fisher_samples": 50}
+)
+"""Sizes of virtual trajectories in quick runs, whose numbers mean nothing."""
 _NOTES = MappingProxyType({"mopo": "between roll-outs", "wsbc": "an update is an iteration"})
 _ALTERNATING = ("td3_bc", "lambda_td3_bc")  # every second of whose updates has no actor
 _PEER_UPDATES = MappingProxyType(  # d3rlpy's per timing, about a second
@@ -63,14 +67,19 @@ def _learner(
     models: Mapping[str, object],
     lanes: int,
     device: torch.device,
+    quick: bool,
 ) -> PolicyLearner:
     record = ALGORITHMS[algorithm]
+    changed = dict(_OVERRIDES.get(algorithm, {}))
+    if quick:
+        known = {item.name for item in fields(record.config)}
+        changed |= {name: value for name, value in _QUICK.items() if name in known}
     inputs = LearnerInputs(
         data=LaneData([dataset] * lanes, device, record.frame_epsilon),
         keys=[lane_key(dataset.card.name, algorithm, seed) for seed in range(lanes)],
         models={name: [model] * lanes for name, model in models.items()},
     )
-    return record.learner(record.config(**_OVERRIDES.get(algorithm, {})), inputs)
+    return record.learner(record.config(**changed), inputs)
 
 
 def _first_step(algorithm: str, learner: PolicyLearner) -> int:
@@ -120,8 +129,10 @@ def seconds_per_update(
     return [settings.once(few) / count + surplus for _ in range(settings.repetitions)]
 
 
-def _work(algorithm: str, dataset: OfflineDataset, models: Mapping[str, object]) -> Work:
-    learner = _learner(algorithm, dataset, models, 1, torch.device("cpu"))
+def _work(
+    algorithm: str, dataset: OfflineDataset, models: Mapping[str, object], quick: bool
+) -> Work:
+    learner = _learner(algorithm, dataset, models, 1, torch.device("cpu"), quick)
     first = _first_step(algorithm, learner)
     if algorithm == "mopo":
         learner.update(0)
@@ -135,7 +146,11 @@ def updates(algorithm: str, settings: Settings) -> Iterator[Row]:
     dataset = settings.dataset()
     small = Settings(quick=True).dataset()
     models = {name: barely_fitted(name, small) for name in ALGORITHMS[algorithm].needs}
-    work, unit, expected = _work(algorithm, dataset, models), f"learner {algorithm}", 0.0
+    work, unit, expected = (
+        _work(algorithm, dataset, models, settings.quick),
+        f"learner {algorithm}",
+        0.0,
+    )
     for lanes in settings.lanes:
         name = f"{algorithm}, {lanes} lane(s)"
         whole = lanes * expected * (1 + _SLOW_REPEATS)
@@ -144,7 +159,7 @@ def updates(algorithm: str, settings: Settings) -> Iterator[Row]:
             note = f"left out: an update would take {lanes * expected:.1f} s; --all measures it"
             yield Row(unit=unit, name=name, note=note)
             continue
-        learner = _learner(algorithm, dataset, models, lanes, settings.place)
+        learner = _learner(algorithm, dataset, models, lanes, settings.place, settings.quick)
         program = graphed(learner, settings.place)
         first = _first_step(algorithm, learner)
         if algorithm == "mopo":

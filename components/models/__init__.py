@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Generic, TypeVar
 
-from components.data.sizes import DataSizes, relative_weights
+from components.data.sizes import DataSizes, relative_work
 from components.models import action_vae, behaviour_policy
 from components.models.gaussian_behaviour import (
     GaussianBehaviour,
@@ -64,7 +64,7 @@ def _per_epoch(seconds: float) -> Callable[[Any, DataSizes], float]:
     They hold for the default network on the Industrial Benchmark.
     """
     return lambda config, sizes: (
-        seconds * config.epochs * sizes.transitions / 1e5 * relative_weights(config, sizes)
+        seconds * config.epochs * sizes.transitions / 1e5 * relative_work(config, sizes)
     )
 
 

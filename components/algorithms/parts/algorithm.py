@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
-from components.data.sizes import DataSizes, relative_weights
+from components.data.sizes import DataSizes, relative_work
 
 __all__ = ["Algorithm", "PolicyConfig", "per_transition", "per_virtual_step"]
 
@@ -74,10 +74,10 @@ def per_transition(seconds: float) -> Callable[[_Batched, DataSizes], float]:
 
     Args:
         seconds: Core-seconds for each transition of a batch, with the default networks on the
-            Industrial Benchmark; others take as much longer as they have more weights.
+            Industrial Benchmark; with others :func:`.relative_work` times as many.
     """
     return lambda config, sizes: (
-        seconds * float(config.updates * config.batch) * relative_weights(config, sizes)
+        seconds * float(config.updates * config.batch) * relative_work(config, sizes)
     )
 
 
@@ -90,5 +90,5 @@ def per_virtual_step(seconds: float) -> Callable[[_Virtual, DataSizes], float]:
     return lambda config, sizes: (
         seconds
         * float(config.updates * config.trajectories * config.horizon)
-        * relative_weights(config, sizes)
+        * relative_work(config, sizes)
     )
