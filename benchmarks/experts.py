@@ -27,7 +27,7 @@ from components.environments.mujoco.specifications import ROBOTS
 from components.experts.online import ExpertConfig, OnlineDDPG
 from components.experts.replay import Replay
 from components.experts.training import without_denormals
-from flows.tasks.memory import keep_freed_memory
+from components.training.memory import keep_freed_memory
 
 __all__ = ["EagerDDPG", "lanes_program", "report"]
 

@@ -30,7 +30,7 @@ from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
 from components.training.cuda_graphs import BranchingLearner, graphed
 from components.training.loop import Learner
-from flows.tasks.memory import keep_freed_memory
+from components.training.memory import keep_freed_memory
 
 __all__ = ["UNTRAINED", "program", "report"]
 

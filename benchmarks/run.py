@@ -27,6 +27,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import torch
+from flows.tasks.memory import keep_freed_memory
 
 from benchmarks import learner_paths, paths, pipeline_paths
 from benchmarks.floors import Limits
@@ -38,7 +39,6 @@ from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
 from flows.pipeline.signals import ending_signals, exit_code
-from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["RESULTS", "UNITS", "Unit", "described", "main", "measured", "serve", "settings_of"]
 

@@ -27,7 +27,7 @@ from components.data.sources.source import generate
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy
 from components.training.loop import Learner
-from flows.tasks.memory import keep_freed_memory
+from components.training.memory import keep_freed_memory
 
 __all__ = ["plain_return", "report"]
 

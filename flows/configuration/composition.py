@@ -21,7 +21,7 @@ from flows.configuration.files import (
     read_file,
     read_folder,
 )
-from flows.configuration.overrides import rename_old_keys
+from flows.configuration.renamed import rename_old_keys
 
 __all__ = ["DEVIATIONS", "Layers", "base_layers", "merged", "special_settings", "with_limits"]
 

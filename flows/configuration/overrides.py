@@ -14,21 +14,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from flows.configuration.checking import SettingsError, hint
 from flows.configuration.field_types import is_optional, is_switch, is_text, is_text_list
+from flows.configuration.renamed import RENAMED, rename_old_keys
 
 __all__ = [
     "ALIASES",
     "check_keys",
     "parse_overrides",
-    "rename_old_keys",
     "split_overrides",
     "split_word",
 ]
 
 ALIASES: Mapping[str, str] = {"models": "models.source", "repair": "runner.repair"}
 """Short keys of the command line and the full keys they stand for; a door may have others."""
-
-_RENAMED = {("evaluation", "lambda_step"): "proximity_step"}
-"""Old keys, each with its group, and their names of today."""
 
 KindOf = Callable[[str], Any]
 """The type of a setting, by its full key; None where nothing is known of it."""
@@ -81,21 +78,12 @@ def split_overrides(
             continue
         key = aliases.get(key, key)
         group, _, name = key.rpartition(".")
-        name = _RENAMED.get((group, name), name)
+        name = RENAMED.get((group, name), name)
         rest.append(f"{group}.{name}={value}" if group else f"{name}={value}")
     if len(set(profiles)) > 1:
         given = " and ".join(f"profile={name}" for name in profiles)
         raise SettingsError(f"{given} contradict each other; give profile once.")
     return (profiles or ["paper"])[0], rest
-
-
-def rename_old_keys(layer: DictConfig) -> DictConfig:
-    """Give old keys of a file or a command line their names of today; changes the layer."""
-    for (group, old), new in _RENAMED.items():
-        fields = layer.get(group)
-        if isinstance(fields, DictConfig) and old in fields:
-            fields[new] = fields.pop(old)
-    return layer
 
 
 def parse_overrides(words: Sequence[str], kind_of: KindOf) -> DictConfig:

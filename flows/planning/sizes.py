@@ -9,7 +9,8 @@ from components.data.sources.source import DatasetSource
 from components.data.sources.stored_log import StoredLog
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
-from flows.configuration.settings import Settings, SettingsError
+from flows.configuration.checking import SettingsError
+from flows.configuration.schema import Settings
 
 __all__ = ["check_algorithm", "check_model", "check_size"]
 

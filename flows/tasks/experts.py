@@ -23,6 +23,7 @@ from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
 from components.policies.policy import Policy
 from components.training.divergence import DivergedError
+from components.training.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
@@ -32,7 +33,6 @@ from flows.tasks.artifacts import (
     write_numbers,
 )
 from flows.tasks.divergence import diverged
-from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["choose_expert", "train_expert"]
 

@@ -9,14 +9,12 @@ from collections.abc import Sequence
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.algorithms.parts.learner import LearnerInputs
-from components.algorithms.parts.training import train_policies
-from components.core.random_streams import lane_key
-from components.data.batches import LaneData
+from components.algorithms.parts.training import learner_inputs, train_policies
 from components.models import MODELS
 from components.policies.policy import Policy
 from components.training.divergence import DivergedError
 from components.training.loop import Curves
+from components.training.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
@@ -28,7 +26,6 @@ from flows.tasks.artifacts import (
     write_numbers,
 )
 from flows.tasks.divergence import diverged
-from flows.tasks.memory import keep_freed_memory
 
 __all__ = ["train"]
 
@@ -39,17 +36,15 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
     algorithm = ALGORITHMS[jobs[0].config["algorithm"]]
     config = config_object(algorithm.config, jobs[0].config["settings"])
     datasets = [open_dataset(job) for job in jobs]
-    data = LaneData(datasets, torch.device(context.device), algorithm.frame_epsilon)
-    inputs = LearnerInputs(
-        data=data,
-        keys=[
-            lane_key(d.card.name, algorithm.name, j.config["seed"])
-            for d, j in zip(datasets, jobs, strict=True)
-        ],
-        models={
+    inputs = learner_inputs(
+        algorithm,
+        datasets,
+        [job.config["seed"] for job in jobs],
+        {
             name: [read_input(job, name, MODELS[name].load, "model") for job in jobs]
             for name in algorithm.needs
         },
+        torch.device(context.device),
     )
     policies: Sequence[Policy | DivergedError]
     try:

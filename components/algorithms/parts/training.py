@@ -8,7 +8,7 @@ first snapshot leaves nothing. Diverging values that are still finite do not end
 policies are kept and evaluated like all others.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +18,9 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm
-from components.algorithms.parts.learner import PolicyLearner
+from components.algorithms.parts.learner import LearnerInputs, PolicyLearner
+from components.core.random_streams import lane_key
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.history import gather_history
 from components.policies.policy import Policy, PolicyCard
@@ -26,7 +28,7 @@ from components.training.cuda_graphs import graphed
 from components.training.divergence import DivergedError
 from components.training.loop import Curves, TrainingLoop
 
-__all__ = ["snapshot_steps", "train_policies"]
+__all__ = ["learner_inputs", "snapshot_steps", "train_policies"]
 
 CPU = torch.device("cpu")
 _LOOKED_AT: Final = 64  # states of the log in which every snapshot must act finitely
@@ -43,6 +45,32 @@ def snapshot_steps(updates: int, snapshots: int) -> tuple[int, ...]:
             f"{snapshots} snapshots need at least as many updates, got {updates}; raise updates."
         )
     return tuple(round(updates * (n + 1) / snapshots) for n in range(snapshots))
+
+
+def learner_inputs(
+    algorithm: Algorithm[Any],
+    datasets: Sequence[OfflineDataset],
+    seeds: Sequence[int],
+    models: Mapping[str, Sequence[Any]],
+    device: torch.device,
+) -> LearnerInputs:
+    """What a stack of learners is made of; lanes have the streams of (dataset, algorithm, seed).
+
+    Args:
+        algorithm: Its record.
+        datasets: One per lane.
+        seeds: One per lane.
+        models: Fitted models by name, one per lane each; those that the algorithm needs.
+        device: Where to learn.
+    """
+    return LearnerInputs(
+        data=LaneData(datasets, device, algorithm.frame_epsilon),
+        keys=[
+            lane_key(data.card.name, algorithm.name, seed)
+            for data, seed in zip(datasets, seeds, strict=True)
+        ],
+        models={name: models[name] for name in algorithm.needs},
+    )
 
 
 def train_policies(

@@ -191,7 +191,7 @@ def test_a_fit_that_ends_early_says_when(
         return replace(made, ended_at=7, metrics=made.metrics | {"other": math.inf})
 
     monkeypatch.setattr(
-        "flows.tasks.model_fitting.MODELS", {"behaviour_policy": replace(kind, fit=fit)}
+        "components.models.fitting.MODELS", {"behaviour_policy": replace(kind, fit=fit)}
     )
     run([node], root, "ended")
     metrics = stored(root / "ended" / node.key / "metrics.json")
@@ -216,7 +216,7 @@ def test_a_model_that_is_not_finite_is_not_stored(
         return made
 
     monkeypatch.setattr(
-        "flows.tasks.model_fitting.MODELS", {"recurrent_ensemble": replace(kind, fit=fit)}
+        "components.models.fitting.MODELS", {"recurrent_ensemble": replace(kind, fit=fit)}
     )
     run([node], root, f"not-finite-{harm}")
     said = (root / f"not-finite-{harm}" / node.key / "failure.txt").read_text()
