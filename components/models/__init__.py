@@ -48,9 +48,7 @@ class ModelKind(Generic[C]):
         load: Reads the folder that the fitted model's ``save`` filled.
         cost: Core-seconds of a fit with given settings to data of given sizes, measured roughly on
             a computer of 2026.
-        version: Of its code, part of node keys; to be raised when a change can change its fits. It
-            is 5 where nothing has changed since all kinds had one version together, so that fits
-            stored then keep their keys. A new kind begins with 1.
+        version: Of its code, part of node keys; to be raised when a change can change its fits.
     """
 
     config: type[C]
