@@ -148,7 +148,8 @@ def draws(settings: Settings) -> Iterator[Row]:
 
 
 def twins(settings: Settings) -> Iterator[Row]:
-    """A row per learner: how far it is from its twin after 100 updates."""
+    """A row per learner: how far it is from its twin after 100 updates, both in full precision."""
+    set_precision(settings.place.type, "highest")
     dataset = dataclasses.replace(settings, quick=True).dataset()
     models, updates = models_of(_names(settings), dataset), 40 if settings.quick else _TWIN_UPDATES
     loop = TrainingLoop(updates, ["a", "b"], log_every=20)
@@ -192,7 +193,6 @@ def _weights(learner: Any) -> dict[str, Tensor]:
 
 def captures(settings: Settings) -> Iterator[Row]:
     """A row per learner of the usual size: captured, in a process that has captured the others."""
-    set_precision(settings.place.type, "high")
     dataset = settings.dataset()
     models = models_of(_names(settings), dataclasses.replace(settings, quick=True).dataset())
     for name in _names(settings):

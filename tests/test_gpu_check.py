@@ -15,7 +15,7 @@ from components.training.cuda_graphs import GraphedLearner
 SETTINGS = Settings(quick=True, threads=1, seconds=0.01, repetitions=2)
 
 
-@pytest.mark.slow(8)
+@pytest.mark.slow(20)
 def test_checks_and_rates_run_on_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu_paths, "_names", lambda settings: ["td3_bc", "mopo"])
     for check in (gpu_paths.draws, gpu_paths.twins, gpu_paths.captures):
