@@ -46,6 +46,8 @@ class Config:
 class Learner(StackedLearner):
     """A stack of BC policies, one lane per (dataset, seed)."""
 
+    updates_per_graph = 50
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._data = data = inputs.data
         self.lanes = data.lanes

@@ -86,6 +86,8 @@ class ActorCritic(StackedLearner):
         device: Where to learn.
     """
 
+    updates_per_graph = 50
+
     def __init__(
         self,
         config: Config,

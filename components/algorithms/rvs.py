@@ -96,6 +96,8 @@ class _Head(nn.Module):
 class Learner(StackedLearner):
     """A stack of RvS-R policies, one lane per (dataset, seed)."""
 
+    updates_per_graph = 50
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._data = data = inputs.data
         device, self.lanes = data.device, data.lanes

@@ -76,6 +76,8 @@ class Learner(StackedLearner):
 
     _further_inputs = 0  # of all networks, after the observation
 
+    updates_per_graph = 50
+
     def __init__(self, config: Config, inputs: LearnerInputs) -> None:
         self._config, self._data = config, inputs.data
         data, device = inputs.data, inputs.data.device

@@ -16,6 +16,8 @@ REMEDY: Final = "generate the dataset again"
 """What to do about a card, or a file beside it, that cannot be used."""
 _DYNAMICS: Final = "machine"
 """Name of the dynamics specification on a stored card."""
+_OF_PLANTS: Final = ("action_bounds", "sampling")
+"""Fields of imported logs alone."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,9 @@ class DatasetCard:
         all_windows_return_mean: mean over every window start of every episode; windows do not
             cross episodes.
         digest: sha256 over all arrays.
+        action_bounds: smallest and largest value of each action in the units of its plant, which
+            are -1 and 1 here; empty where the log was not scaled.
+        sampling: interval of the frames of a plant; 0 where it is not known.
         code_version: version of the package that made it.
         format_version: of the folder.
     """
@@ -78,6 +83,8 @@ class DatasetCard:
     controller_digest: str = ""
     noise: float = 0.0
     simulator: str = ""
+    action_bounds: tuple[tuple[float, float], ...] = ()
+    sampling: float = 0.0
     code_version: str = field(default_factory=code_version)
     format_version: int = FORMAT_VERSION
 
@@ -87,6 +94,9 @@ class DatasetCard:
         values[_DYNAMICS] = values.pop("dynamics")
         for name in ("environment_parameters", _DYNAMICS):
             values[name] = dict(values[name])
+        for name in _OF_PLANTS:  # cards without them stay as they were
+            if not values[name]:
+                del values[name]
         return json.dumps(values, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
     @classmethod
@@ -119,6 +129,8 @@ def _amend(values: dict[str, Any]) -> None:
         values.setdefault("transitions", values["trajectories"] * values["steps"])
     if _DYNAMICS in values:
         values["dynamics"] = values.pop(_DYNAMICS)
+    if "action_bounds" in values:
+        values["action_bounds"] = tuple((low, high) for low, high in values["action_bounds"])
 
 
 _CARDS: Final = CardFormat(

@@ -83,6 +83,14 @@ def check_card(card: DatasetCard, source: object) -> None:
                 f"{source}: {name} is {getattr(card, name)} on the card; the rewards are too large "
                 "or undefined, so scale them."
             )
+    if card.action_bounds and (
+        len(card.action_bounds) != len(card.action_features)
+        or not all(low < high for low, high in card.action_bounds)
+    ):
+        raise ValueError(
+            f"{source}: action_bounds on the card are {card.action_bounds}; give the smaller and "
+            f"the larger one of each of {', '.join(card.action_features)}."
+        )
     known = {*card.frame_features, *card.action_features, _REWARD}
     unknown = [name for name in _dynamics_features(card.dynamics) if name not in known]
     if unknown:

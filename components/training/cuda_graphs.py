@@ -170,16 +170,20 @@ class GraphedLearner:
         with self._backend.region():
             step, end = first, first + count
             while step < end:
-                together = self._together(step, end)
+                together = self._together(step, count, end)
                 self._advance(step, together, sums)
                 step += together
 
-    def _together(self, step: int, end: int) -> int:
-        """Updates of the next graph: as many as one holds, or a single one."""
-        if step + self._several > end:
+    def _together(self, step: int, count: int, end: int) -> int:
+        """Updates of the next graph of a run of ``count``, which is cut into equal graphs.
+
+        Runs are mostly of one length, and then one graph does for all of them.
+        """
+        largest = max(n for n in range(1, self._several + 1) if count % n == 0)
+        if step + largest > end:  # some have gone one by one
             return 1
-        branches = {self._learner.branch(step + i) for i in range(self._several)}
-        return 1 if branches & self._ordinary else self._several
+        branches = {self._learner.branch(step + i) for i in range(largest)}
+        return 1 if branches & self._ordinary else largest
 
     def _advance(self, first: int, count: int, sums: MetricSums | None) -> dict[str, Tensor]:
         """Do some updates by one graph, where there is one; the last one's metrics."""

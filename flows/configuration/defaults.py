@@ -1,4 +1,4 @@
-"""The defaults of algorithms, models, evaluation and expert training.
+"""The defaults of algorithms, models, evaluation, expert training and dataset indicators.
 
 They stand in the dataclasses of the components and nowhere else. The files of conf/ and a command
 line override them.
@@ -12,6 +12,7 @@ from components.algorithms import ALGORITHMS
 from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
 from components.models import MODELS
+from components.models.action_stochasticity import StochasticityConfig
 
 __all__ = ["ALGORITHM_CONFIGS", "MODEL_CONFIGS", "component_defaults"]
 
@@ -31,4 +32,5 @@ def component_defaults() -> dict[str, Any]:
         "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},
         "evaluation": asdict(EvaluationProtocol()),
         "experts": {"training": asdict(ExpertConfig())},
+        "ranking": {"stochasticity": asdict(StochasticityConfig())},
     }

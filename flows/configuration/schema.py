@@ -23,6 +23,7 @@ from flows.configuration.sections import (
     ExpertsSettings,
     ModelConfigs,
     ModelsSettings,
+    RankingSettings,
     RunnerSettings,
     Seeds,
     SpecialSettings,
@@ -73,6 +74,11 @@ def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
     if not isinstance(fields, Mapping):
         raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
     own = {k: v for k, v in fields.items() if k not in ("domain", *DEVIATIONS)}
+    if not {"log", "robot", "controller"} & own.keys():
+        raise SettingsError(
+            f"{path} names no source: give `log` (a folder that flows.import_log has filled), "
+            "`robot` or `controller`."
+        )
     kind = source_kind(own)
     if isinstance(own.get("log"), str):  # a relative folder is one of the project, like conf/
         own["log"] = str(CONF.parent / Path(own["log"]).expanduser())
@@ -108,6 +114,7 @@ class Settings(StrictModel):
     aggregation: AggregationSettings
     models: ModelsSettings
     tuning: TuningSettings
+    ranking: RankingSettings
     experts: ExpertsSettings
     runner: RunnerSettings
     store: Annotated[Path, BeforeValidator(_folder)]

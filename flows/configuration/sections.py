@@ -9,6 +9,7 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
+from components.models.action_stochasticity import StochasticityConfig
 from flows.configuration.checking import SettingsError, StrictModel, hint
 from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
 
@@ -19,6 +20,7 @@ __all__ = [
     "ExpertsSettings",
     "ModelConfigs",
     "ModelsSettings",
+    "RankingSettings",
     "RunnerSettings",
     "Seeds",
     "SpecialSettings",
@@ -154,3 +156,19 @@ class TuningSettings(StrictModel):
 
     models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]
     trials: int = Field(ge=1)
+
+
+class RankingSettings(StrictModel):
+    """How datasets are ranked.
+
+    Attributes:
+        floor: Return that none falls below; None: the system's, or else a log's own least return.
+        report: Name of the sweep whose policies tell the true improvement; None: the only one.
+        algorithm: Whose improvement is shown; None: MOOSE's, as in the thesis, or else the first.
+        stochasticity: How the spread of actions is fitted.
+    """
+
+    floor: float | None
+    report: str | None
+    algorithm: str | None
+    stochasticity: StochasticityConfig

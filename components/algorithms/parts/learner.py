@@ -114,8 +114,9 @@ class StackedLearner:
     """Base of all learners: named networks and optimisers, saved and restored as one state.
 
     Subclasses fill the two mappings; targets and learned scalars are networks too. A subclass that
-    needs updates before its budget gives their number in ``pretraining``; one whose update is long
-    by itself, or draws many numbers, lowers ``updates_per_graph``.
+    needs updates before its budget gives their number in ``pretraining``; one whose update is short
+    raises ``updates_per_graph``, so that graphs draw numbers for many updates at once, and one
+    whose update is long by itself, or draws many numbers, lowers it.
     """
 
     pretraining: int = 0

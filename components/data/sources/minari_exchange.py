@@ -41,7 +41,14 @@ from components.data.dataset import OfflineDataset, array_digest
 from components.data.history import gather_history
 from components.environments.systems import SYSTEMS  # its package registers them with Gymnasium
 
-__all__ = ["ForeignDatasetError", "export_minari", "import_minari", "minari_id", "remove_leftovers"]
+__all__ = [
+    "ForeignDatasetError",
+    "export_minari",
+    "import_minari",
+    "minari_id",
+    "minari_root",
+    "remove_leftovers",
+]
 
 _NAMESPACE = "proximity"
 _CARD_KEY = "proximity_dataset_card"
@@ -51,6 +58,12 @@ _SUFFIX = "-v0"
 
 class ForeignDatasetError(ValueError):
     """A Minari dataset that another project has written."""
+
+
+def minari_root() -> Path:
+    """The folder in which Minari looks for datasets; Minari's own function would make it."""
+    given = os.environ.get(_ROOT_VARIABLE)
+    return Path(given) if given else Path.home() / ".minari" / "datasets"
 
 
 def minari_id(name: str, *, stacked: bool = False) -> str:
@@ -156,13 +169,13 @@ def import_minari(dataset_id: str, root: Path) -> OfflineDataset:
     try:
         source = minari.MinariDataset(folder)
         text, total_steps = source.storage.metadata.get(_CARD_KEY), source.total_steps
-        episodes = list(source.iterate_episodes())
+        episodes = list(source.iterate_episodes()) if isinstance(text, str) else []
     except Exception as error:  # Minari and HDF5 raise whatever they stumble over
         raise ValueError(f"{dataset_id} is damaged ({error}); export it again.") from error
     if not isinstance(text, str):
         raise ForeignDatasetError(
             f"{dataset_id} was not exported by this project: it has no dataset card; "
-            "export to another folder."
+            "export to another folder, or read it with flows.import_log."
         )
     if not episodes:
         raise ValueError(f"{dataset_id} is damaged (it has no episode); export it again.")

@@ -40,7 +40,7 @@ def falling(kind: type = StackedFit) -> StackedFit[Points]:
 
 
 def trained(learner: Learner) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """State and curves after all updates, by runs of 10, 5 and, at the end, 2."""
+    """State and curves after all updates, by graphs of 5 and, at the end, 2."""
     curves = TrainingLoop(UPDATES, "ab", log_every=15).run(learner, at=())
     return learner.state_dict(), curves.tensors()
 
@@ -55,7 +55,7 @@ def assert_same(graphs: Learner, plain: Learner) -> None:
 def test_runs_follow_the_schedule_and_the_draws() -> None:
     graphs = GraphedLearner(falling(), RecordedGraphs())
     assert_same(graphs, falling())
-    assert graphs.captured == 2, "of ten updates, and of one for the rest of an interval"
+    assert graphs.captured == 2, "of five updates, a third of an interval, and of two at the end"
 
 
 def test_a_recurrent_fit_does_too() -> None:
@@ -88,7 +88,7 @@ def test_what_is_not_staged_stays_as_it_was_recorded() -> None:
     _, expected = trained(falling(Frozen))
     _, found = trained(GraphedLearner(falling(Frozen), RecordedGraphs()))
     assert expected["step"][0].tolist() == [7.0, 22.0, 37.0]
-    # The run of ten is recorded in the second interval, at steps 15 to 24, and repeated at 30.
+    # The run of five is recorded at steps 5 to 9 and repeated from 10 on.
     assert found["step"][0, 2] < 30.0
 
 
@@ -108,7 +108,7 @@ def test_what_cannot_be_captured_goes_on_as_it_is_and_is_told() -> None:
         assert_same(graphs, falling(Waiting))
     assert graphs.captured == 0
     said = "aten::_local_scalar_dense reads a number on the host"
-    assert lost == [f"updates: {said}"]
+    assert lost == [f"5 updates at once: {said}", f"updates: {said}"]
 
 
 def test_losing_graphs_outside_of_a_block_is_told_by_a_warning_alone() -> None:
@@ -119,7 +119,7 @@ def test_losing_graphs_outside_of_a_block_is_told_by_a_warning_alone() -> None:
     assert lost == []
 
 
-ROOM = 700  # operations: the draws are 500 of them, an update is 25
+ROOM = 600  # operations: the draws are 500 of them, an update is 25
 
 
 class Small(RecordedGraphs):
@@ -137,9 +137,9 @@ class Small(RecordedGraphs):
 
 def test_if_several_updates_are_too_many_single_ones_are_captured() -> None:
     graphs = GraphedLearner(falling(), Small())
-    with lost_graphs() as lost, pytest.warns(UserWarning, match="10 updates at once"):
+    with lost_graphs() as lost, pytest.warns(UserWarning, match="5 updates at once"):
         assert_same(graphs, falling())
-    assert lost == ["10 updates at once: out of room"], "what ended the capture, in one line"
+    assert lost == ["5 updates at once: out of room"], "what ended the capture, in one line"
     assert graphs.captured == 1
 
 

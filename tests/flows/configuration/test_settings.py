@@ -130,8 +130,8 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("evaluation.discount=0.5", "valid keys in evaluation: horizon, proximity_step"),
         ("dataset.bad-0.2.epsilon=2", r"edit its files, or select with datasets=\[...\]"),
         # unknown names
-        ("profile=fast", "Unknown profile 'fast'; valid ones are paper, quick, smoke"),
-        ("profile=", "valid ones are paper, quick, smoke"),
+        ("profile=fast", "Unknown profile 'fast'; valid ones are chapter4, paper, quick, smoke"),
+        ("profile=", "valid ones are chapter4, paper, quick, smoke"),
         (
             "datasets=[mediocre-0.3]",
             f"Unknown dataset 'mediocre-0.3'; valid ones are {ALL_DATASETS}",

@@ -1,0 +1,342 @@
+"""Import a log of your own: ``python -m flows.import_log FILE... name=furnace [--describe]``."""
+
+import os
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from omegaconf import OmegaConf
+from pydantic import Field
+from rich.console import Console
+
+from components.core.files import temporary_name, write_text
+from components.data.imports.csv_table import CsvFormat, CsvTable
+from components.data.imports.describe import draft_schema
+from components.data.imports.importing import Imported, import_tables
+from components.data.imports.minari_table import MinariTable
+from components.data.imports.report import FIGURE, report_figure, report_text
+from components.data.imports.schema import LogError, LogSchema, Repairs
+from components.data.imports.tables import ParquetTable, Table
+from components.data.sources.minari_exchange import ForeignDatasetError, import_minari, minari_root
+from flows.command_line import command_words, run_door
+from flows.configuration import files
+from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.overrides import split_word
+
+__all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
+
+HELP = """\
+usage: python -m flows.import_log FILE... name=NAME [KEY=VALUE ...]
+
+Make a dataset of a log of your own: CSV and Parquet files, folders of them, or minari:ID, a dataset
+of Minari's on this computer. Afterwards datasets=[NAME] works like any other.
+
+  name=furnace            of the dataset; must not be one of conf/dataset
+  schema=furnace.yaml     what the columns mean; NAME.yaml by default
+  --describe              write a first draft of that file from the columns, and stop; a file that
+                          is there is left alone
+  missing=refuse          missing and infinite values: refuse the log, drop_episode or forward_fill
+  gaps=refuse             gaps in time: refuse the log, or split: a new episode begins after each
+  short=refuse            episodes without one whole step: refuse the log, or drop them
+  to=logs/furnace         folder of the dataset and its report; logs/NAME of the project by default
+  replace=true            put it in the place of an earlier import
+
+A log that cannot be used is refused in one sentence with file, row and column, and nothing is
+stored. A dataset that this project exported to Minari needs no schema and comes back as it was.
+"""
+
+_MINARI = "minari:"
+_REPORT = "report.md"
+_SWITCHES = ("describe", "replace")
+
+
+class ImportSettings(StrictModel):
+    """What to import, how to repair it and where to put it."""
+
+    files: tuple[str, ...] = Field(min_length=1)
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)
+    schema_file: Path | None = Field(default=None, alias="schema")
+    describe: bool = False
+    missing: Literal["refuse", "drop_episode", "forward_fill"] = "refuse"
+    gaps: Literal["refuse", "split"] = "refuse"
+    short: Literal["refuse", "drop"] = "refuse"
+    to: Path | None = None
+    replace: bool = False
+
+    @property
+    def described_by(self) -> Path:
+        """The schema file."""
+        return self.schema_file or Path(f"{self.name}.yaml")
+
+    @property
+    def folder(self) -> Path:
+        """Where the dataset is put: beside conf/, as it is no product of a store."""
+        return files.CONF.parent / (self.to or Path("logs", self.name))
+
+    @property
+    def named_in(self) -> Path:
+        """The file of conf/dataset."""
+        return files.CONF / "dataset" / f"{self.name}.yaml"
+
+
+def load_import_settings(words: Sequence[str]) -> ImportSettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, Any] = {}
+    paths: list[str] = []
+    for word in words:
+        if word in ("--describe", "--replace"):
+            word = f"{word[2:]}=true"
+        if "=" not in word and not word.startswith("-") and word not in _SWITCHES:
+            paths.append(word)
+            continue
+        key, value = split_word(word, lambda name: name in _SWITCHES)
+        if fields.setdefault(key, value) != value:
+            raise SettingsError(f"{key} is given twice; give it once.")
+    if not paths:
+        raise SettingsError("no file is given; write e.g. log.csv name=furnace.")
+    if "name" not in fields:
+        raise SettingsError("name= is missing; write e.g. name=furnace.")
+    if "files" in fields:
+        raise SettingsError("files are given without a key; write e.g. log.csv name=furnace.")
+    settings: ImportSettings = build_config(ImportSettings, "", {"files": paths, **fields})
+    return settings
+
+
+def read_schema(path: Path) -> LogSchema:
+    """The schema in a YAML file.
+
+    Raises:
+        SettingsError: There is none, or it is wrong; one sentence.
+    """
+    if not path.is_file():
+        raise SettingsError(
+            f"{path} is missing; add --describe to write a first draft of it, or give schema=FILE."
+        )
+    content = OmegaConf.to_container(files.read_file(path), resolve=False)
+    try:
+        schema: LogSchema = build_config(LogSchema, "", content)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from error
+    return schema
+
+
+def import_log(settings: ImportSettings) -> int:
+    """Import a log, or draft its schema.
+
+    Raises:
+        SettingsError: The log, its schema or the settings cannot be used; nothing is stored.
+    """
+    try:
+        if settings.describe:
+            return _describe(settings)
+        _check_place(settings)
+        own = _own_export(settings)
+        if own is not None:
+            imported, names, text = own, list(settings.files), None
+        else:
+            schema = read_schema(settings.described_by)
+            text = settings.described_by.read_text(encoding="utf-8")
+            tables = _tables(settings.files, _csv_format(schema))
+            names = [table.name for table in tables]
+            imported = _imported(tables, schema, settings)
+        _store(imported, names, text, settings)
+    except LogError as error:
+        raise SettingsError(str(error)) from error
+    return 0
+
+
+def _csv_format(schema: LogSchema) -> CsvFormat:
+    return CsvFormat(schema.delimiter, schema.decimal, schema.encoding)
+
+
+def _describe(settings: ImportSettings) -> int:
+    path = settings.described_by
+    if path.exists():
+        raise SettingsError(
+            f"{path} is there already and is left alone; remove it for a new draft."
+        )
+    for form in (CsvFormat(), CsvFormat(";"), CsvFormat("\t"), CsvFormat("|")):
+        tables = _tables(settings.files, form)
+        try:
+            if len(tables[0].columns) > 1:
+                break
+        except LogError as error:
+            if "separates" not in str(error):
+                raise
+    write_text(path, draft_schema(tables, settings.name))
+    print(f"{path}: a first draft of the schema. Correct it, then give the command without it.")
+    return 0
+
+
+def _check_place(settings: ImportSettings) -> None:
+    """Refuse names and folders that are taken."""
+    folder, named = settings.folder, settings.named_in
+    if settings.name == "all":
+        raise SettingsError("name=all stands for every dataset; choose another name.")
+    if not named.parent.is_dir():
+        raise SettingsError(f"{named.parent} is missing; import in a whole copy of the project.")
+    if named.exists() and not _names_folder(named, settings):
+        raise SettingsError(
+            f"name={settings.name}: {_shown(named)} is there already and is not about "
+            f"{_shown(folder)}; choose another name, or remove it."
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if not settings.replace:
+            raise SettingsError(
+                f"{_shown(folder)} is there already; give replace=true, or another name."
+            )
+        if not (folder / "card.json").is_file():
+            raise SettingsError(f"to={_shown(folder)} holds no dataset to replace; name another.")
+
+
+def _names_folder(named: Path, settings: ImportSettings) -> bool:
+    """Whether a file of conf/dataset is about the folder of this import."""
+    content: Any = OmegaConf.to_container(files.read_file(named), resolve=False)
+    fields = content.get(settings.name)
+    log = fields.get("log") if isinstance(fields, Mapping) else None
+    return isinstance(log, str) and files.CONF.parent / log == settings.folder
+
+
+def _shown(path: Path) -> Path:
+    root = files.CONF.parent
+    return path.relative_to(root) if path.is_relative_to(root) else path
+
+
+def _tables(words: Sequence[str], form: CsvFormat) -> list[Table]:
+    """The tables of files, folders and Minari ids, in the order given; folders by name.
+
+    Raises:
+        SettingsError: There is no such file, or nothing can read it.
+    """
+    tables: list[Table] = []
+    for word in words:
+        path = Path(word).expanduser()
+        if word.startswith(_MINARI):
+            dataset_id = word.removeprefix(_MINARI)
+            tables.append(MinariTable(dataset_id, minari_root()))
+        elif path.is_dir():
+            tables += _tables_below(path, form)
+        elif path.is_file():
+            tables.append(_table(path, word, form))
+        else:
+            raise SettingsError(
+                f"there is no file {word}; give CSV or Parquet files, or minari:ID."
+            )
+    return tables
+
+
+def _tables_below(folder: Path, form: CsvFormat) -> list[Table]:
+    def natural(path: Path) -> list[Any]:  # run10 comes after run9
+        return [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", path.name)]
+
+    found = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith((".", "_"))]
+    tables = [_table(p, str(p), form) for p in sorted(found, key=natural)]
+    if not tables:
+        raise SettingsError(f"{folder} holds no files; give a folder of CSV or Parquet files.")
+    return tables
+
+
+def _table(path: Path, name: str, form: CsvFormat) -> Table:
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    if suffixes[-1:] in ([".parquet"], [".pq"]):
+        return ParquetTable(path, name)
+    if suffixes[-1:] in ([".hdf5"], [".h5"]):
+        raise SettingsError(
+            f"{name} is HDF5, which is not read directly; fetch the set from Minari (`minari list "
+            "remote`, D4RL's are there as D4RL/...) and give minari:ID, or write it as Parquet."
+        )
+    if suffixes[-1:] in ([".gz"], [".bz2"], [".zst"]):
+        suffixes.pop()
+    if suffixes[-1:] in ([".csv"], [".tsv"], [".txt"]):
+        return CsvTable(path, name, form)
+    raise SettingsError(f"{name} is neither CSV nor Parquet by its name; give .csv or .parquet.")
+
+
+def _own_export(settings: ImportSettings) -> Imported | None:
+    """A dataset that this project has exported, exactly as it was; None for any other.
+
+    Raises:
+        SettingsError: It is damaged.
+    """
+    if len(settings.files) != 1 or not settings.files[0].startswith(_MINARI):
+        return None
+    [table] = _tables(settings.files, CsvFormat())
+    assert isinstance(table, MinariTable)
+    _ = table.folder  # refuses files that would read others
+    try:
+        dataset = import_minari(table.dataset_id, table.root)
+    except ForeignDatasetError:
+        return None
+    except ValueError as error:
+        raise SettingsError(str(error)) from error
+    return Imported(dataset, len(dataset.frames), ["It was exported by this project."], [])
+
+
+def _imported(tables: Sequence[Table], schema: LogSchema, settings: ImportSettings) -> Imported:
+    repairs = Repairs(settings.missing, settings.gaps, settings.short)
+    console = Console(stderr=True, highlight=False)
+    with console.status("reading") as status:
+
+        def progress(table: str, rows: int) -> None:
+            status.update(f"reading {table}: {rows:,} rows so far")
+
+        return import_tables(tables, schema, repairs, settings.name, progress)
+
+
+def _store(
+    imported: Imported, names: Sequence[str], schema: str | None, settings: ImportSettings
+) -> None:
+    """Put the dataset, its report and its schema into one folder, and name it in conf/dataset."""
+    folder, dataset = settings.folder, imported.dataset
+    command = shlex.join(["python", *command_words()])
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with temporary_name(folder) as made:
+        dataset.write(made)
+        if schema is not None:
+            write_text(made / "schema.yaml", schema)
+        write_text(made / _REPORT, report_text(imported, names, command))
+        report_figure(dataset).savefig(made / FIGURE, dpi=110)
+        _put(made, folder)
+    if not settings.named_in.exists():
+        about = f"# imported by flows.import_log; {_REPORT} in its folder says what it holds\n"
+        content = {settings.name: {"log": str(_shown(folder))}}
+        write_text(settings.named_in, about + yaml.safe_dump(content, allow_unicode=True))
+    _say(imported, settings)
+
+
+def _put(made: Path, folder: Path) -> None:
+    """Rename a folder, in the place of another one if there is one."""
+    if not folder.exists():
+        os.replace(made, folder)
+        return
+    with temporary_name(folder) as former:
+        os.replace(folder, former)
+        try:
+            os.replace(made, folder)
+        except OSError:
+            os.replace(former, folder)
+            raise
+
+
+def _say(imported: Imported, settings: ImportSettings) -> None:
+    dataset = imported.dataset
+    for sentence in imported.warnings:
+        print(f"Warning: {sentence}")
+    for sentence in imported.notes:
+        print(f"Note: {sentence}")
+    print(
+        f"{settings.name}: {dataset.transitions:,} transitions in {dataset.episodes:,} episodes, "
+        f"mean return {dataset.card.first_window_return_mean:.5g}; {_shown(settings.folder)} has "
+        f"them and {_REPORT}. Next: python -m flows.full_benchmark datasets=[{settings.name}]"
+    )
+
+
+if __name__ == "__main__":
+    run_door("import_log", HELP, load_import_settings, import_log)
