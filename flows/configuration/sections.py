@@ -66,6 +66,14 @@ def _different_seeds(chosen: Any) -> list[int]:
     return seeds
 
 
+def _together(stack: Any) -> Any:
+    if stack not in ("pair", "algorithm") and not (type(stack) is int and stack >= 1):
+        raise SettingsError(
+            f"runner.stack={stack} must be pair, algorithm or a number of datasets, at least 1."
+        )
+    return stack
+
+
 Seeds = Annotated[tuple[int, ...], BeforeValidator(_different_seeds)]
 
 AlgorithmConfigs = TypedDict("AlgorithmConfigs", ALGORITHM_CONFIGS)  # type: ignore[misc]
@@ -136,7 +144,7 @@ class RunnerSettings(StrictModel):
     threads: int = Field(ge=1)
     device: Literal["auto", "cpu", "cuda"]
     gpu_share: float = Field(gt=0, le=1)
-    stack: Literal["pair", "algorithm"]
+    stack: Annotated[Literal["pair", "algorithm"] | int, BeforeValidator(_together)]
     repair: Literal["recompute", "refuse"]
 
 
