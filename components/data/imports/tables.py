@@ -156,7 +156,8 @@ class ParquetTable:
 
     def _file(self) -> Any:
         try:
-            return pq.ParquetFile(self.path)
+            # Without the buffer one row group is held at a time, not the whole file.
+            return pq.ParquetFile(self.path, pre_buffer=False, buffer_size=1 << 20)
         except pa.ArrowException as error:
             raise LogError(
                 f"{self.name} cannot be read as Parquet ({_reason(error)}); store it again."
