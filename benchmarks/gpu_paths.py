@@ -148,7 +148,8 @@ def draws(settings: Settings) -> Iterator[Row]:
 
 
 def twins(settings: Settings) -> Iterator[Row]:
-    """A row per learner: how far it is from its twin after 100 updates."""
+    """A row per learner: how far it is from its twin after 100 updates, both in full precision."""
+    set_precision(settings.place.type, "highest")
     dataset = dataclasses.replace(settings, quick=True).dataset()
     models, updates = models_of(_names(settings), dataset), 40 if settings.quick else _TWIN_UPDATES
     loop = TrainingLoop(updates, ["a", "b"], log_every=20)
@@ -164,6 +165,8 @@ def twins(settings: Settings) -> Iterator[Row]:
         way, apart = 0.0, 0.0
         found = _weights(made)
         for key, tensor in _weights(plain).items():
+            if key not in start:
+                continue
             way += float((tensor - start[key]).square().sum())
             apart += float((tensor - found[key].cpu()).square().sum())
         share = (apart / way) ** 0.5 if way else float("nan")
@@ -175,7 +178,10 @@ def twins(settings: Settings) -> Iterator[Row]:
 
 
 def _weights(learner: Any) -> dict[str, Tensor]:
-    """What the networks have learned; what was rolled out or measured with them is none of it."""
+    """What the networks have learned, where it is finite.
+
+    What was rolled out or measured with them is none of it.
+    """
     return {
         f"{name}.{key}": tensor
         for name, network in learner._networks.items()
@@ -187,13 +193,11 @@ def _weights(learner: Any) -> dict[str, Tensor]:
 
 def captures(settings: Settings) -> Iterator[Row]:
     """A row per learner of the usual size: captured, in a process that has captured the others."""
-    set_precision(settings.place.type, "high")
     dataset = settings.dataset()
     models = models_of(_names(settings), dataclasses.replace(settings, quick=True).dataset())
     for name in _names(settings):
-        changes = small_settings(name, True) if settings.quick else {}
-        if name == "mopo":
-            changes = {"rollouts": 2000}
+        usual = {"rollouts": 2000} if name == "mopo" else {}
+        changes = small_settings(name, True) if settings.quick else usual
         made = stack(name, dataset, models, settings.lanes[0], settings.place, **changes)
         graphs, sums = with_graphs(made, settings), MetricSums()
         first = made.pretraining

@@ -2,19 +2,15 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from functools import partial
 from types import MappingProxyType
 
 from torch.profiler import ProfilerActivity, profile
 
-from benchmarks import learner_paths
 from benchmarks.gpu_paths import models_of, small_settings, stack, with_graphs
+from benchmarks.learner_paths import MEASURE, Training
 from benchmarks.records import Row, row_of_seconds
 from benchmarks.settings import Settings
-from components.algorithms.parts.learner import PolicyLearner
 from components.training.cuda_graphs import lost_graphs
-from components.training.sums import MetricSums
-from flows.pipeline.computer import set_precision
 
 __all__ = ["TARGETS", "rates"]
 
@@ -36,44 +32,23 @@ TARGETS: Mapping[tuple[str, int], float] = MappingProxyType(
 _TOP = 12  # kernels shown of each learner
 
 
-class _Training:
-    """Runs of updates one after the other, from the middle of the budget on."""
-
-    def __init__(self, learner: PolicyLearner, updates: int, settings: Settings) -> None:
-        self.several = learner.updates_per_graph
-        self._step = learner.pretraining + updates // 2 // self.several * self.several
-        self._program, self._sums = with_graphs(learner, settings), MetricSums()
-
-    def advance(self, count: int) -> None:
-        """Do some more updates."""
-        self._program.run_updates(self._step, count, self._sums)
-        self._step += count
-
-
 def rates(name: str, settings: Settings) -> Iterator[Row]:
     """Rows of a learner for each number of lanes, and of the kernels of the last one."""
-    set_precision(settings.place.type, "high")
     dataset = settings.dataset()
     models = models_of([name], dataclasses.replace(settings, quick=True).dataset())
     changes = small_settings(name, True) if settings.quick else {}
     for lanes in settings.lanes:
         made = stack(name, dataset, models, lanes, settings.place, **changes)
-        training = _Training(made, made._config.updates, settings)
+        first = made.pretraining + made._config.updates // 2
+        training = Training(with_graphs(made, settings), made.updates_per_graph, first)
         with lost_graphs() as lost:
-            training.advance(3 * max(training.several, 2))  # warm-up, capture and a replay
-        seconds = settings.once(partial(training.advance, training.several)) / training.several
-        fitting = settings.seconds / settings.repetitions / seconds / training.several
-        count = training.several * (1 if settings.quick else max(1, round(fitting)))
-        timings = [
-            settings.once(partial(training.advance, count)) / count
-            for _ in range(settings.repetitions)
-        ]
+            timings = training.timings(settings)
         yield row_of_seconds(
             f"learner {name}",
             f"{name}, {lanes} lane(s)",
             timings,
             amount=float(lanes),
-            measure=learner_paths.MEASURE,
+            measure=MEASURE,
             note="; ".join([_judged(name, lanes, 1.0 / min(timings)), *lost]),
         )
     yield from _kernels(name, training, settings)
@@ -87,7 +62,7 @@ def _judged(name: str, lanes: int, rate: float) -> str:
     return f"{said}; target {asked:,.1f} {'met' if rate >= asked else 'missed'}"
 
 
-def _kernels(name: str, training: _Training, settings: Settings) -> Iterator[Row]:
+def _kernels(name: str, training: Training, settings: Settings) -> Iterator[Row]:
     """Rows of what the device, or a processor, spends its time on."""
     updates = 2 * training.several
     activities = [ProfilerActivity.CUDA] if settings.on_a_gpu else []

@@ -11,6 +11,7 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 from statistics import mean
 from types import MappingProxyType
@@ -29,6 +30,8 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.models import MODELS
 from components.training.cuda_graphs import graphed
+from components.training.loop import RunLearner
+from components.training.sums import MetricSums
 
 __all__ = ["IN_JAX", "RATES", "beside_d3rlpy", "beside_jax", "jax_command", "updates"]
 
@@ -129,6 +132,35 @@ def seconds_per_update(
     return [settings.once(few) / count + surplus for _ in range(settings.repetitions)]
 
 
+class Training:
+    """Runs of updates one after the other, as the training loop asks for them on a GPU.
+
+    Args:
+        program: Does them by graphs.
+        several: Updates of a graph.
+        first: First update; rounded down to a multiple, as logging intervals begin.
+    """
+
+    def __init__(self, program: RunLearner, several: int, first: int) -> None:
+        self.several, self._program, self._sums = several, program, MetricSums()
+        self._step = first - first % several
+
+    def advance(self, count: int) -> None:
+        """Do some more updates."""
+        self._program.run_updates(self._step, count, self._sums)
+        self._step += count
+
+    def timings(self, settings: Settings) -> list[float]:
+        """Seconds of an update in every repeat, after warm-up and capture."""
+        self.advance(3 * max(self.several, 2))
+        seconds = settings.once(partial(self.advance, self.several)) / self.several
+        fitting = settings.seconds / settings.repetitions / seconds / self.several
+        count = self.several * (1 if settings.quick else max(1, round(fitting)))
+        return [
+            settings.once(partial(self.advance, count)) / count for _ in range(settings.repetitions)
+        ]
+
+
 def _work(
     algorithm: str, dataset: OfflineDataset, models: Mapping[str, object], quick: bool
 ) -> Work:
@@ -164,11 +196,12 @@ def updates(algorithm: str, settings: Settings) -> Iterator[Row]:
         first = _first_step(algorithm, learner)
         if algorithm == "mopo":
             program.update(0)
-        # graphs are captured at a branch's fourth update
-        warm_up = 10 if settings.on_a_gpu else int(expected * lanes < 1)
-        for step in range(first - warm_up, first):
-            program.update(step)
-        timings = seconds_per_update(program.update, first, settings)
+        if isinstance(program, RunLearner):
+            timings = Training(program, learner.updates_per_graph, first).timings(settings)
+        else:
+            for step in range(first - int(expected * lanes < 1), first):
+                program.update(step)
+            timings = seconds_per_update(program.update, first, settings)
         expected = min(timings) / lanes if not settings.on_a_gpu else 0.0
         floor, bound = work.floor(settings.limits, lanes)
         yield row_of_seconds(

@@ -38,6 +38,7 @@ from benchmarks.records import Results, Row
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
+from flows.pipeline.computer import set_precision
 from flows.pipeline.signals import ending_signals, exit_code
 
 __all__ = ["RESULTS", "UNITS", "Unit", "described", "main", "measured", "serve", "settings_of"]
@@ -109,6 +110,7 @@ def serve(name: str, settings: Settings, units: Mapping[str, Unit] = UNITS) -> N
     keep_freed_memory()
     if settings.on_a_gpu:
         torch.cuda.set_device(settings.place)
+        set_precision("cuda", "high")  # as trainings do by default
     for row in units[name](settings):
         print(_MARK + json.dumps(dataclasses.asdict(row)), flush=True)
 

@@ -37,7 +37,7 @@ give the same command again.
   evaluation.horizon=100          steps per trajectory
   evaluation.proximity_step=0.05  distance of the proximities at which policies are evaluated
   aggregation.pool_fraction=0.1   last share of the snapshots that enters the table
-  runner.stack=pair               or algorithm: one program trains an algorithm on all datasets
+  runner.stack=pair               or 2: one program for so many datasets; or algorithm: for all
 {COMMON_HELP}"""
 
 

@@ -1,7 +1,6 @@
 """Import a log of your own: ``python -m flows.import_log FILE... name=furnace [--describe]``."""
 
 import os
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,14 +12,15 @@ from pydantic import Field
 from rich.console import Console
 
 from components.core.files import temporary_name, write_text
-from components.data.imports.csv_table import CsvFormat, CsvTable
+from components.data.imports.csv_table import CsvFormat
 from components.data.imports.describe import draft_schema
 from components.data.imports.importing import Imported, import_tables
 from components.data.imports.minari_table import MinariTable
+from components.data.imports.opening import MINARI, open_tables
 from components.data.imports.report import FIGURE, report_figure, report_text
 from components.data.imports.schema import LogError, LogSchema, Repairs
-from components.data.imports.tables import ParquetTable, Table
-from components.data.sources.minari_exchange import ForeignDatasetError, import_minari, minari_root
+from components.data.imports.tables import Table
+from components.data.sources.minari_exchange import ForeignDatasetError, import_minari
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
@@ -48,7 +48,6 @@ A log that cannot be used is refused in one sentence with file, row and column, 
 stored. A dataset that this project exported to Minari needs no schema and comes back as it was.
 """
 
-_MINARI = "minari:"
 _REPORT = "report.md"
 _SWITCHES = ("describe", "replace")
 
@@ -143,7 +142,7 @@ def import_log(settings: ImportSettings) -> int:
         else:
             schema = read_schema(settings.described_by)
             text = settings.described_by.read_text(encoding="utf-8")
-            tables = _tables(settings.files, _csv_format(schema))
+            tables = open_tables(settings.files, _csv_format(schema))
             names = [table.name for table in tables]
             imported = _imported(tables, schema, settings)
         _store(imported, names, text, settings)
@@ -163,13 +162,15 @@ def _describe(settings: ImportSettings) -> int:
             f"{path} is there already and is left alone; remove it for a new draft."
         )
     for form in (CsvFormat(), CsvFormat(";"), CsvFormat("\t"), CsvFormat("|")):
-        tables = _tables(settings.files, form)
+        tables = open_tables(settings.files, form)
         try:
             if len(tables[0].columns) > 1:
                 break
         except LogError as error:
             if "separates" not in str(error):
                 raise
+    else:  # a single column
+        tables = open_tables(settings.files, CsvFormat())
     write_text(path, draft_schema(tables, settings.name))
     print(f"{path}: a first draft of the schema. Correct it, then give the command without it.")
     return 0
@@ -209,65 +210,15 @@ def _shown(path: Path) -> Path:
     return path.relative_to(root) if path.is_relative_to(root) else path
 
 
-def _tables(words: Sequence[str], form: CsvFormat) -> list[Table]:
-    """The tables of files, folders and Minari ids, in the order given; folders by name.
-
-    Raises:
-        SettingsError: There is no such file, or nothing can read it.
-    """
-    tables: list[Table] = []
-    for word in words:
-        path = Path(word).expanduser()
-        if word.startswith(_MINARI):
-            dataset_id = word.removeprefix(_MINARI)
-            tables.append(MinariTable(dataset_id, minari_root()))
-        elif path.is_dir():
-            tables += _tables_below(path, form)
-        elif path.is_file():
-            tables.append(_table(path, word, form))
-        else:
-            raise SettingsError(
-                f"there is no file {word}; give CSV or Parquet files, or minari:ID."
-            )
-    return tables
-
-
-def _tables_below(folder: Path, form: CsvFormat) -> list[Table]:
-    def natural(path: Path) -> list[Any]:  # run10 comes after run9
-        return [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", path.name)]
-
-    found = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith((".", "_"))]
-    tables = [_table(p, str(p), form) for p in sorted(found, key=natural)]
-    if not tables:
-        raise SettingsError(f"{folder} holds no files; give a folder of CSV or Parquet files.")
-    return tables
-
-
-def _table(path: Path, name: str, form: CsvFormat) -> Table:
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    if suffixes[-1:] in ([".parquet"], [".pq"]):
-        return ParquetTable(path, name)
-    if suffixes[-1:] in ([".hdf5"], [".h5"]):
-        raise SettingsError(
-            f"{name} is HDF5, which is not read directly; fetch the set from Minari (`minari list "
-            "remote`, D4RL's are there as D4RL/...) and give minari:ID, or write it as Parquet."
-        )
-    if suffixes[-1:] in ([".gz"], [".bz2"], [".zst"]):
-        suffixes.pop()
-    if suffixes[-1:] in ([".csv"], [".tsv"], [".txt"]):
-        return CsvTable(path, name, form)
-    raise SettingsError(f"{name} is neither CSV nor Parquet by its name; give .csv or .parquet.")
-
-
 def _own_export(settings: ImportSettings) -> Imported | None:
     """A dataset that this project has exported, exactly as it was; None for any other.
 
     Raises:
         SettingsError: It is damaged.
     """
-    if len(settings.files) != 1 or not settings.files[0].startswith(_MINARI):
+    if len(settings.files) != 1 or not settings.files[0].startswith(MINARI):
         return None
-    [table] = _tables(settings.files, CsvFormat())
+    [table] = open_tables(settings.files, CsvFormat())
     assert isinstance(table, MinariTable)
     _ = table.folder  # refuses files that would read others
     try:

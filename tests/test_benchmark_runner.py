@@ -17,6 +17,7 @@ from benchmarks.floors import Limits, Work, operations, work_of_updates
 from benchmarks.model_free import PEER
 from benchmarks.records import Results, Row, row_of_seconds
 from benchmarks.settings import Settings
+from components.core.random_streams import BLOCK
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
@@ -93,16 +94,18 @@ def test_a_slow_learner_pays_its_share_of_a_block_s_draws(monkeypatch: pytest.Mo
 
     def update(step: int) -> None:
         nonlocal now
-        now += pace * (1.0 + (2.5 if step % 50 == 0 else 0.0))
+        now += pace * (1.0 + (2.5 if step % BLOCK == 0 else 0.0))
 
     monkeypatch.setattr(Settings, "once", once)
     settings = Settings(seconds=6.0, repetitions=3)
     slow = learner_paths.seconds_per_update(update, 100, settings)
-    assert slow == pytest.approx([1.05] * 3)  # 2.5 s of draws over 50 steps
+    assert slow == pytest.approx([1.0 + 2.5 / BLOCK] * 3)  # draws of a block take 2.5 s
     fast = learner_paths.seconds_per_update(update, 100, Settings(seconds=300.0, repetitions=3))
-    assert fast == pytest.approx([1.05] * 3)
+    assert fast == pytest.approx([1.0 + 2.5 / BLOCK] * 3)
     pace = 10.0  # few repeats of what is very slow
-    assert learner_paths.seconds_per_update(update, 100, settings) == pytest.approx([10.5] * 2)
+    assert learner_paths.seconds_per_update(update, 100, settings) == pytest.approx(
+        [10.0 + 25.0 / BLOCK] * 2
+    )
 
 
 @pytest.mark.slow(6)

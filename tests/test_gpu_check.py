@@ -10,12 +10,13 @@ from benchmarks import gpu_check, gpu_paths, gpu_rates, run
 from benchmarks.gpu_paths import FAILED
 from benchmarks.records import Results, Row
 from benchmarks.settings import Settings
+from components.algorithms import ALGORITHMS
 from components.training.cuda_graphs import GraphedLearner
 
 SETTINGS = Settings(quick=True, threads=1, seconds=0.01, repetitions=2)
 
 
-@pytest.mark.slow(8)
+@pytest.mark.slow(20)
 def test_checks_and_rates_run_on_a_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu_paths, "_names", lambda settings: ["td3_bc", "mopo"])
     for check in (gpu_paths.draws, gpu_paths.twins, gpu_paths.captures):
@@ -38,7 +39,8 @@ def test_what_goes_another_way_or_loses_its_graph_fails(monkeypatch: pytest.Monk
     monkeypatch.setattr(gpu_paths.RecordedGraphs, "capture", refused)
     with pytest.warns(UserWarning, match="No CUDA graph"):
         [row] = gpu_paths.captures(SETTINGS)
-    assert row.note.startswith(f"{FAILED}10 updates at once: no room")
+    several = ALGORITHMS["ddpg"].learner.updates_per_graph
+    assert row.note.startswith(f"{FAILED}{several} updates at once: no room")
     monkeypatch.setattr(GraphedLearner, "run_updates", lambda made, first, count, sums: None)
     [row] = gpu_paths.twins(SETTINGS)
     assert row.note == f"{FAILED}further than 5%"

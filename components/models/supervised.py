@@ -235,19 +235,20 @@ class StackedFit(Generic[N]):
     def stage(self, first: int, count: int) -> None:
         """Tell CUDA graphs which steps come next, and their learning rates."""
         self._streams.stage(first, count)
-        self._schedule.stage(first, count)
+        if self._falls:
+            self._schedule.stage(first, count)
 
     def draw(self, first: int, count: int) -> None:
         """Draw the numbers of the steps that were staged."""
         self._streams.draw(count)
 
     def _rate(self, step: int) -> float:
-        falling = 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
-        return self._learning_rate * falling if self._falls else self._learning_rate
+        return self._learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / self._updates))
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One step of all lanes down their training losses."""
-        self._schedule.follow(step)
+        if self._falls:
+            self._schedule.follow(step)
         loss, metrics = self._loss(self.network, self._streams.at(step))
         self._optimizer.zero_grad(set_to_none=True)
         loss.sum().backward()

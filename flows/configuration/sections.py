@@ -68,6 +68,14 @@ def _different_seeds(chosen: Any) -> list[int]:
     return seeds
 
 
+def _together(stack: Any) -> Any:
+    if stack not in ("pair", "algorithm") and not (type(stack) is int and stack >= 1):
+        raise SettingsError(
+            f"runner.stack={stack} must be pair, algorithm or a number of datasets, at least 1."
+        )
+    return stack
+
+
 Seeds = Annotated[tuple[int, ...], BeforeValidator(_different_seeds)]
 
 AlgorithmConfigs = TypedDict("AlgorithmConfigs", ALGORITHM_CONFIGS)  # type: ignore[misc]
@@ -139,7 +147,7 @@ class RunnerSettings(StrictModel):
     device: Literal["auto", "cpu", "cuda"]
     gpu_share: float = Field(gt=0, le=1)
     precision: Literal["highest", "high", "medium"]
-    stack: Literal["pair", "algorithm"]
+    stack: Annotated[Literal["pair", "algorithm"] | int, BeforeValidator(_together)]
     repair: Literal["recompute", "refuse"]
 
 

@@ -31,18 +31,27 @@ def cpu_seconds() -> float:
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
-@cache
 def hardware(device: str) -> str:
-    """The computer's processors, memory and software in one line, without its name."""
+    """The computer's processors, memory and software in one line, without its name.
+
+    Of a GPU also the precision of its products of float32.
+    """
+    line = _processors()
+    if device == "cuda" and "torch" in sys.modules:
+        torch = sys.modules["torch"]
+        precision = torch.get_float32_matmul_precision()
+        line += f", {torch.cuda.get_device_name()} in {precision} float32 precision"
+    return line
+
+
+@cache
+def _processors() -> str:
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
         size = f", {memory:.0f} GiB"
     except (OSError, ValueError):
         size = ""
-    line = f"{os.cpu_count()} x {processor()}{size}, Python {platform.python_version()}"
-    if device == "cuda" and "torch" in sys.modules:
-        line += f", {sys.modules['torch'].cuda.get_device_name()}"
-    return line
+    return f"{os.cpu_count()} x {processor()}{size}, Python {platform.python_version()}"
 
 
 def software(device: str) -> dict[str, str]:

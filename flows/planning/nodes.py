@@ -170,10 +170,19 @@ def policy_node(
         },
         inputs={role: inputs[role] for role in ("dataset", *algorithm.needs)},
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
-        lanes=f"train/{algorithm.name}/{kind}"
-        + (f"/{dataset}" if settings.runner.stack == "pair" else ""),
+        lanes=f"train/{algorithm.name}/{kind}{_datasets_together(settings, dataset)}",
         cost=algorithm.cost(config, data_sizes(source)),
     )
+
+
+def _datasets_together(settings: Settings, dataset: str) -> str:
+    """What tells the datasets of one program from those of others, see `runner.stack`."""
+    stack = settings.runner.stack
+    if stack == "algorithm":
+        return ""
+    if stack == "pair":
+        return f"/{dataset}"
+    return f"/{settings.datasets.index(dataset) // stack}"
 
 
 def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:

@@ -103,6 +103,8 @@ CELLS = {
         put("temperature", 33, "1490 °F"),
         r"row 33: 'temperature' is '1490 °F', a number with a unit",
     ),
+    "underscores": (put("gas", 3, "1_0"), r"row 3: 'gas' is '1_0', which is no number"),
+    "flow": (put("gas", 3, "5 m3/h"), r"row 3: 'gas' is '5 m3/h', a number with a unit"),
     "per cent": (put("gas", 3, "55%"), r"row 3: 'gas' is '55%', a number with a unit"),
     "action beyond": (put("gas", 61, "120"), r"row 61: action 'gas' is 120, .* bounds 0 to 100"),
     "action below": (put("air", 2, "-1"), r"log\.csv, row 2: action 'air' is -1, outside"),
@@ -129,6 +131,12 @@ CELLS = {
     ),
     "no time": (put("time", 6, "noon"), r"log\.csv, row 6: 'time' is 'noon', which is no time"),
     "local dates": (constant("time", "31.12.2025 10:00"), r"row 2: 'time' is '31\.12\.2025 10:00'"),
+    "text among numbers of time": (
+        lambda cells: [
+            put("time", r, "x" if r == 9 else str(10 * r))(cells) for r in range(2, 182)
+        ],
+        r"log\.csv, row 9: 'time' is 'x', which is no number",
+    ),
     "missing time": (put("time", 6, ""), r"log\.csv, row 6: time 'time' is missing"),
     "missing episode": (put("run", 6, ""), r"log\.csv, row 6: episode 'run' is missing"),
     "episode in two parts": (
@@ -148,7 +156,7 @@ CELLS = {
     ),
     "one row": (drop_rows(3, 181), r"log\.csv, row 2: the episode .* has a single row"),
     "one episode": (drop_rows(32, 181), r"log\.csv, row 2: the log has 1 episodes from here on"),
-    "no rows": (drop_rows(2, 181), r"the log has no rows"),
+    "no rows": (drop_rows(2, 181), r"log\.csv has no rows below row 1"),
 }
 
 
@@ -195,6 +203,7 @@ TEXTS: dict[str, tuple[bytes, str]] = {
         text_of(lambda t: t.replace(t.splitlines()[9], "1,2,3")),
         r"log\.csv, row 10, has 3 columns, not 7",
     ),
+    "no end of the header": (b"temperature,oxygen", r"log\.csv has no rows below row 1"),
     "empty": (b"", r"log\.csv is empty"),
 }
 

@@ -222,6 +222,13 @@ def test_a_linear_reward_over_features_needs_no_column(project: Path) -> None:
     frames = log.frames.reshape(EPISODES, ROWS, 2)[:, 1:].reshape(-1, 2)
     # the sum is formed in double precision, of numbers about 400
     np.testing.assert_allclose(log.rewards, frames @ [-0.5, 2.0], atol=1e-4)
+    cells = gym_cells()
+    for row in (ROWS - 1, 3 * ROWS - 1):  # the end in the row of its action, the state after it
+        cells["tripped"][row - 1 : row + 1] = ["1", "0"]
+    changes = {"reward": None, "reward_weights": weights, "terminal": "tripped"}
+    ended = imported(cells, "replace=true", outcome_row="same", **changes)
+    np.testing.assert_array_equal(ended.rewards, log.rewards)
+    assert ended.terminated.sum() == 2
     dynamics = DynamicsSpecification.of_card(log.card)
     assert (dynamics.learned, dynamics.reward) == (("temperature", "oxygen"), (-0.5, 2.0))
 
@@ -295,6 +302,27 @@ def test_an_earlier_import_is_replaced_only_on_demand(project: Path) -> None:
         imported(cells, "replace=true")
     assert OfflineDataset.open(Path("logs/furnace")).episodes == 7
     assert [path.name for path in (project / "logs").iterdir()] == ["furnace"]
+
+
+def test_an_import_that_is_interrupted_at_the_end_leaves_nothing_and_the_earlier_one(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(dataset: OfflineDataset) -> Figure:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(door, "report_figure", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            imported(furnace())
+        assert not list((project / "logs").iterdir())
+        assert not list((project / "conf" / "dataset").iterdir())
+    before = imported(furnace()).card
+    with monkeypatch.context() as patched:
+        patched.setattr(door, "report_figure", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            imported(furnace(7), "replace=true")
+    assert [path.name for path in (project / "logs").iterdir()] == ["furnace"]
+    assert OfflineDataset.open(Path("logs/furnace")).card == before
 
 
 @pytest.mark.parametrize("kind", ["csv", "semicolons", "parquet"])

@@ -27,8 +27,8 @@ _HEAD: Final = 1 << 20  # bytes in which the header ends
 _ZONE: Final = re.compile(r"\d(Z|[+-]\d\d:?\d\d)$")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}([,.'’_ \u00a0\u202f]\d{3})+([.,]\d+)?")
 _COMMA: Final = re.compile(r"[+-]?\d*,\d+")
-_UNIT: Final = re.compile(r"[+-]?[\d.,]+([eE][+-]?\d+)?\s*[^\d\s.,].*")
-_FLAGS: Final = ("0", "1", "true", "false")
+_UNIT: Final = re.compile(r"[+-]?[\d.,]+([eE][+-]?\d+)?\s*[A-Za-zµΩ°%‰$€].*")
+_FLAGS: Final = ("0", "1", "true", "True", "TRUE", "false", "False", "FALSE")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,11 @@ class CsvTable:
                 f"{self.name}, row 1, is UTF-16, not {self.format.encoding}; convert the file to "
                 "UTF-8."
             )
-        first = head.split(b"\n", 1)[0]
+        first, *below = re.split(rb"[\r\n]+", head.strip(), maxsplit=1)
+        if not below:
+            raise LogError(
+                f"{self.name} has no rows below row 1; give a file with a header and rows."
+            )
         try:
             text = first.decode(self.format.encoding).removeprefix("\ufeff")
         except UnicodeDecodeError as error:
@@ -79,7 +83,10 @@ class CsvTable:
             raise LogError(
                 f"encoding {self.format.encoding!r} is not known; give e.g. latin-1."
             ) from error
-        names = next(csv.reader(io.StringIO(text), delimiter=self.format.delimiter))
+        try:
+            names = next(csv.reader(io.StringIO(text), delimiter=self.format.delimiter))
+        except csv.Error as error:
+            raise LogError(f"{self.name}, row 1, is no header ({error}); correct it.") from error
         self._check_delimiter(names, text)
         return names
 
@@ -160,7 +167,9 @@ class CsvTable:
         if pa.types.is_timestamp(found) or pa.types.is_date(found):
             return pa.timestamp("ns", tz=getattr(found, "tz", None))
         if pa.types.is_string(found):
-            raise self._explain({name: pa.timestamp("ns")})
+            first = self.sample(1)[name][0].as_py() or ""
+            number = _wrong_number(first, self.format.decimal) is None
+            raise self._explain({name: pa.float64() if number else pa.timestamp("ns")})
         return pa.float64()
 
     def _explain(self, types: dict[str, Any]) -> LogError:
@@ -211,7 +220,7 @@ class CsvTable:
             if pa.types.is_timestamp(kind):
                 said = _wrong_time(text, before)
             elif pa.types.is_boolean(kind):
-                said = None if text.lower() in _FLAGS else f"is {text!r}; a flag is 0 or 1."
+                said = None if text in _FLAGS else f"is {text!r}; a flag is 0 or 1."
             elif pa.types.is_floating(kind):
                 said = _wrong_number(text, self.format.decimal)
             else:
@@ -237,8 +246,8 @@ def _wrong_time(text: str, first: str) -> str | None:
 
 def _wrong_number(text: str, decimal: str) -> str | None:
     try:
-        float(text.replace(decimal, "."))
-    except ValueError:
+        pa.array([text.replace(decimal, ".")]).cast(pa.float64())
+    except pa.ArrowException:
         pass
     else:
         if decimal == "." or "." not in text:

@@ -151,13 +151,11 @@ def _arrays(
     last[ends - 1] = True
     acting = kept & ~last
     acting[(ends - 1)[repeated]] = True
-    outcome = acting
-    if not schema.same_row:
-        outcome = kept.copy()
-        outcome[begins] = False
+    after = kept.copy()
+    after[begins] = False
     steps = ends - begins - 1 + repeated
     starts = np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
-    terminated = rows.terminal[outcome]
+    terminated = rows.terminal[acting if schema.same_row else after]
     truncated = np.zeros_like(terminated)
     truncated[starts[1:] - 1] = ~terminated[starts[1:] - 1]
     frames = rows.features
@@ -170,7 +168,7 @@ def _arrays(
     arrays = {
         "frames": _ordered(frames, layout.feature_columns),
         "actions": _ordered(rows.actions[acting], layout.action_columns),
-        "rewards": rows.rewards[outcome],
+        "rewards": rows.rewards[after if schema.reward_after else acting],
         "terminated": terminated,
         "truncated": truncated,
         "episode_starts": starts,
@@ -206,7 +204,7 @@ def _columns(
         Column(order[k], "action", arrays["actions"][:, n], of_step)
         for n, k in enumerate(layout.action_columns)
     ]
-    later = 0 if schema.same_row else 1
+    later = 1 if schema.reward_after else 0
     named = schema.reward or REWARD
     return [*columns, Column(named, "reward", arrays["rewards"], lambda i: of_step(i, later))]
 

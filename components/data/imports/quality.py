@@ -235,7 +235,7 @@ def _coarse(column: Column) -> list[str]:
     values = column.values
     sample = values[:: max(1, len(values) // 10_000)].astype(np.float64)
     size, spread = float(np.abs(sample).max()), float(sample.std())
-    if size > 0 and spread < 1e-5 * size:
+    if 0 < spread < 1e-5 * size:
         return [
             f"{column.role.capitalize()} {column.name!r} varies by {spread:.3g} about {size:.6g}, "
             "which single precision hardly resolves; subtract a constant in the log."

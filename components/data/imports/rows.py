@@ -22,6 +22,7 @@ __all__ = ["Collector", "Rows"]
 _LARGEST: Final = 1e18
 """Beyond it, squares leave single precision, in which learners compute."""
 _ROUNDING: Final = 1e-6  # of the range of an action: single precision rounds its bounds by less
+_FIRST: Final = 1 << 16  # rows that memory is reserved for at first
 _NO_TIME: Final = np.iinfo(np.int64).min
 
 
@@ -50,6 +51,29 @@ class Rows:
     clipped: int
 
 
+class _Growing:
+    """An array that rows are appended to. Memory that no row has reached yet is not used."""
+
+    def __init__(self) -> None:
+        self._array: NDArray[Any] = np.empty(0)
+        self._count = 0
+
+    def append(self, part: NDArray[Any]) -> None:
+        """Append rows, all of one type and width."""
+        needed = self._count + len(part)
+        if needed > len(self._array):
+            larger = np.empty((max(2 * needed, _FIRST), *part.shape[1:]), part.dtype)
+            if self._count:
+                larger[: self._count] = self._array[: self._count]
+            self._array = larger
+        self._array[self._count : needed] = part
+        self._count = needed
+
+    def whole(self) -> NDArray[Any]:
+        """All rows."""
+        return self._array[: self._count]
+
+
 @dataclass
 class Collector:
     """Collects batches into `Rows`.
@@ -59,7 +83,7 @@ class Collector:
     """
 
     schema: LogSchema
-    _parts: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    _arrays: dict[str, "_Growing"] = field(default_factory=dict)
     _places: list[tuple[int, str, int]] = field(default_factory=list)
     _count: int = 0
     _clipped: int = 0
@@ -87,19 +111,19 @@ class Collector:
             "intervals": self._intervals(batch),
         }
         for name, part in parts.items():
-            self._parts.setdefault(name, []).append(part)
+            self._arrays.setdefault(name, _Growing()).append(part)
         self._places.append((self._count, batch.source, batch.first))
         self._count += batch.rows
 
     def finish(self) -> Rows:
-        """All rows; the collector is empty afterwards.
+        """All rows.
 
         Raises:
             LogError: There are none.
         """
         if not self._count:
             raise LogError("the log has no rows; give files with rows below their headers.")
-        arrays: dict[str, Any] = {name: _joined(parts) for name, parts in self._parts.items()}
+        arrays: dict[str, Any] = {name: array.whole() for name, array in self._arrays.items()}
         return Rows(**arrays, place=_places(tuple(self._places)), clipped=self._clipped)
 
     def _actions(self, batch: Batch) -> NDArray[np.float32]:
@@ -215,19 +239,6 @@ def _refuse_huge(batch: Batch, name: str) -> None:
             f"{batch.place(row)}: {name!r} is {batch.numbers[name][row]:g}, too large to compute "
             "with; leave it empty if it stands for a missing value."
         )
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """The parts one after the other; each is freed as soon as it has been copied."""
-    rows = sum(len(part) for part in parts)
-    whole = np.empty((rows, *parts[0].shape[1:]), parts[0].dtype)
-    parts.reverse()
-    begin = 0
-    while parts:
-        part = parts.pop()
-        whole[begin : begin + len(part)] = part
-        begin += len(part)
-    return whole
 
 
 def _places(batches: Sequence[tuple[int, str, int]]) -> Callable[[int], str]:

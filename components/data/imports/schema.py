@@ -129,6 +129,11 @@ class LogSchema:
         return self.outcome_row == "same"
 
     @property
+    def reward_after(self) -> bool:
+        """Whether the reward stands in the row after its action: so do weighted features."""
+        return bool(self.weights) or not self.same_row
+
+    @property
     def numbers(self) -> tuple[str, ...]:
         """Columns of numbers, in the order features, actions, reward."""
         return (*self.features, *self.actions, *([self.reward] if self.reward else []))

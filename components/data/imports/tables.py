@@ -96,9 +96,8 @@ def check_columns(table: Table, schema: LogSchema) -> None:
         if not counts[name]:
             close = difflib.get_close_matches(name, list(counts), n=1)
             meant = f"; did you mean {close[0]!r}?" if close else "."
-            raise LogError(
-                f"{table.name} has no column {name!r}; it has {', '.join(counts)}{meant}"
-            )
+            some = [*list(counts)[:20], *(["..."] if len(counts) > 20 else [])]
+            raise LogError(f"{table.name} has no column {name!r}; it has {', '.join(some)}{meant}")
 
 
 def _numbers_of(column: Any) -> NDArray[np.float64]:
@@ -156,7 +155,8 @@ class ParquetTable:
 
     def _file(self) -> Any:
         try:
-            return pq.ParquetFile(self.path)
+            # Without the buffer one row group is held at a time, not the whole file.
+            return pq.ParquetFile(self.path, pre_buffer=False, buffer_size=1 << 20)
         except pa.ArrowException as error:
             raise LogError(
                 f"{self.name} cannot be read as Parquet ({_reason(error)}); store it again."

@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 
-from flows.pipeline.computer import processor, set_precision, software
+from flows.pipeline.computer import hardware, processor, set_precision, software
 
 
 def test_a_task_on_the_processor() -> None:
@@ -20,6 +20,7 @@ def test_a_task_on_a_gpu_that_may_use_less_precision(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(torch, "get_float32_matmul_precision", lambda: "high")
     found = software("cuda")
     assert (found["device"], found["float32"]) == ("NVIDIA H200", "high")
+    assert hardware("cuda") == f"{hardware('cpu')}, NVIDIA H200 in high float32 precision"
 
 
 def test_what_a_task_has_not_used_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import pytest
 from components.algorithms import ALGORITHMS
 from components.data.sizes import DataSizes
 from components.models import MODELS
+from flows.configuration.checking import SettingsError
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.planning import nodes
@@ -192,6 +193,22 @@ def test_datasets_of_an_algorithm_can_be_lanes_too() -> None:
     made = plan("runner.stack=algorithm")
     training = {n.lanes for n in made if n.component == "policy_training"}
     assert len(training) == 2
+
+
+def test_a_program_can_have_a_number_of_datasets() -> None:
+    three = "datasets=[bad-0.4,mediocre-0.2,optimized-0.6]"
+    made = plan(three, "runner.stack=2")
+    lanes = {n.name: n.lanes for n in made if n.component == "policy_training"}
+    assert lanes["lion/bad-0.4/seed0"] == lanes["lion/mediocre-0.2/seed1"]
+    assert lanes["lion/bad-0.4/seed0"] != lanes["lion/optimized-0.6/seed0"]
+    assert len(set(lanes.values())) == 4  # two algorithms, each in two programs
+    assert keys(made) == keys(plan(three))
+
+
+@pytest.mark.parametrize("stack", ["0", "2.5", "pairs"])
+def test_a_program_of_no_datasets_is_refused(stack: str) -> None:
+    with pytest.raises(SettingsError, match=r"must be pair, algorithm or a number of datasets"):
+        plan(f"runner.stack={stack}")
 
 
 def test_algorithms_and_seeds_share_the_models() -> None:
