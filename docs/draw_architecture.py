@@ -2,9 +2,9 @@
 
 ``python docs/draw_architecture.py`` writes ``docs/architecture.svg``; a test compares the file with
 what the imports of today give. A room is a package directly below `components` or `flows`; the
-modules directly in `flows` are the doors. An arrow leads from a room to one whose modules it
-imports. Arrows that follow from others are left out: where tasks import models and models import
-networks, tasks may import networks, too.
+modules directly in `flows` are the doors, and `proximity_bench` is the library. An arrow leads from
+a room to one whose modules it imports. Arrows that follow from others are left out: where tasks
+import models and models import networks, tasks may import networks, too.
 """
 
 import ast
@@ -18,7 +18,13 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 DOORS = "flows"
 
 _WIDTH, _HEIGHT, _GAP, _LANE, _RISE, _MARGIN = 132, 46, 26, 6, 96, 24
-_COLOURS = {"components": ("#e8f0fa", "#3b6ea5"), "flows": ("#fbf0e2", "#b0722b")}
+_COLOURS = {
+    "components": ("#e8f0fa", "#3b6ea5"),
+    "flows": ("#fbf0e2", "#b0722b"),
+    "proximity_bench": ("#e9f5ea", "#4a8a52"),
+}
+_TOPS = {"flows": "doors", "proximity_bench": "library"}
+"""What is called so that is no room below another package."""
 
 _DIVIDED = ["components", "data"]
 """Shown with its inner rooms: what runs the real systems is separate from what learners read."""
@@ -191,7 +197,7 @@ def _arrow(path: Sequence[str], first: int, places: Sequence[Mapping[str, float]
 def _box(name: str, x: float, y: float) -> str:
     top, _, label = name.partition(".")
     fill, line = _COLOURS[top]
-    title = label.replace("_", " ").replace(".", " / ") or "doors"
+    title = label.replace("_", " ").replace(".", " / ") or _TOPS[top]
     return (
         f'<g><rect x="{x:g}" y="{y:g}" width="{_WIDTH}" height="{_HEIGHT}" rx="6" fill="{fill}" '
         f'stroke="{line}"/><text x="{x + _WIDTH / 2:g}" y="{y + 20:g}">{escape(title)}</text>'

@@ -44,7 +44,7 @@ class PolicyReturns:
 
 def evaluate_policies(
     policies: Sequence[Policy],
-    behaviours: Sequence[Policy],
+    behaviours: Sequence[Policy] | None,
     environment: str,
     parameters: Mapping[str, Any],
     protocol: EvaluationProtocol,
@@ -58,7 +58,8 @@ def evaluate_policies(
 
     Args:
         policies: Stacks of S snapshots each (one per seed), of equal shapes.
-        behaviours: For each stack the behaviour policy to measure the distance to.
+        behaviours: For each stack the behaviour policy to measure the distance to; None: there is
+            none, and distances are NaN.
         environment: Gymnasium id of the real system.
         parameters: Its parameters, such as the setpoint.
         protocol: Trajectories, horizon and grid of proximities.
@@ -82,7 +83,9 @@ def evaluate_policies(
     snapshots, repeats = policies[0].lanes, protocol.trajectories
     per_policy = len(grid) * repeats
     actors = Policy.concatenate(policies[0].card, policies).to(device)
-    behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
+    behaviour = None
+    if behaviours is not None:
+        behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
     grid_values = torch.tensor(grid, device=device).repeat_interleave(repeats)
     proximity = grid_values.expand(actors.lanes, -1) if takes_proximity else None
     systems = [
@@ -111,8 +114,9 @@ def evaluate_policies(
             fresh = [generator.standard_normal(drawn, np.float32) for generator in noises]
             noise = torch.from_numpy(np.concatenate(fresh)).to(device)
         actions = actors.act(seen, proximity, noise).view(*shape, -1)
-        apart: Tensor = torch.linalg.vector_norm(actions - behaviour.act(windows), dim=-1)
-        np.add(distance, apart.cpu().numpy(), out=distance, where=running)
+        if behaviour is not None:
+            apart: Tensor = torch.linalg.vector_norm(actions - behaviour.act(windows), dim=-1)
+            np.add(distance, apart.cpu().numpy(), out=distance, where=running)
         visited += running
         chosen = actions.cpu().numpy().astype(np.float64)
         undefined |= running & ~np.isfinite(chosen).all(axis=-1)
@@ -127,6 +131,8 @@ def evaluate_policies(
         if over:
             break
     returns[undefined] = np.nan
+    if behaviour is None:
+        distance[:] = np.nan
     by_policy = (len(policies), snapshots, len(grid), repeats)
     total, states = (array.reshape(by_policy).mean(axis=-1) for array in (distance, visited))
     return [

@@ -10,7 +10,8 @@ from components.data.sources.robots import RobotSpec
 from components.data.sources.stored_log import StoredLog
 from components.environments.systems import SYSTEMS
 from components.models import MODELS
-from flows.configuration.settings import Settings, SettingsError
+from flows.configuration.checking import SettingsError
+from flows.configuration.schema import Settings
 from flows.pipeline.plan import Node, digest
 from flows.planning.costs import data_cost, data_sizes, evaluation_cost
 

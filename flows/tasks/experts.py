@@ -22,7 +22,7 @@ from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.training import train_experts
 from components.policies.policy import Policy
-from components.training.divergence import DivergedError
+from components.training.divergence import DivergedError, diverged
 from components.training.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
@@ -32,7 +32,6 @@ from flows.tasks.artifacts import (
     write_curves,
     write_numbers,
 )
-from flows.tasks.divergence import diverged
 
 __all__ = ["choose_expert", "train_expert"]
 

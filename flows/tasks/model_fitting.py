@@ -13,7 +13,7 @@ from components.core.files import without_undefined
 from components.models import MODELS
 from components.models.fitting import fit_into
 from components.models.supervised import Monitor
-from components.training.divergence import DivergedError
+from components.training.divergence import DivergedError, diverged
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
@@ -23,7 +23,6 @@ from flows.tasks.artifacts import (
     write_curves,
     write_numbers,
 )
-from flows.tasks.divergence import diverged
 
 __all__ = ["fit_model"]
 

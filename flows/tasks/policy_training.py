@@ -12,7 +12,7 @@ from components.algorithms import ALGORITHMS
 from components.algorithms.parts.training import learner_inputs, train_policies
 from components.models import MODELS
 from components.policies.policy import Policy
-from components.training.divergence import DivergedError
+from components.training.divergence import DivergedError, diverged
 from components.training.loop import Curves
 from components.training.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
@@ -25,7 +25,6 @@ from flows.tasks.artifacts import (
     write_curves,
     write_numbers,
 )
-from flows.tasks.divergence import diverged
 
 __all__ = ["train"]
 

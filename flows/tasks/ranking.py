@@ -9,10 +9,9 @@ from components.core.random_streams import lane_key
 from components.data.indicators import log_facts
 from components.models.action_stochasticity import StochasticityConfig, fit_action_stochasticity
 from components.models.supervised import Monitor
-from components.training.divergence import DivergedError
+from components.training.divergence import DivergedError, diverged
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import config_object, note_dataset, open_dataset, write_numbers
-from flows.tasks.divergence import diverged
 
 __all__ = ["INDICATORS", "measure_indicators"]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from components.data.imports.schema import LogError, LogSchema
 
-__all__ = ["Batch", "ParquetTable", "Table", "as_batch", "check_columns", "times_of"]
+__all__ = ["Batch", "ParquetTable", "Table", "as_batch", "check_columns", "check_types", "times_of"]
 
 _ROWS = 1 << 17  # of a batch of Parquet
 
@@ -141,6 +141,40 @@ def as_batch(
     )
 
 
+def check_types(source: str, types: Any, schema: LogSchema) -> None:
+    """Refuse columns that hold neither numbers nor time.
+
+    Args:
+        source: What the table is called in messages.
+        types: Its Arrow schema.
+        schema: What its columns mean.
+
+    Raises:
+        LogError: Naming the column.
+    """
+    for name in schema.columns:
+        kind = types.field(name).type
+        number = (
+            pa.types.is_integer(kind)
+            or pa.types.is_floating(kind)
+            or pa.types.is_decimal(kind)
+            or pa.types.is_boolean(kind)
+        )
+        if name == schema.episode:
+            continue
+        if name == schema.time:
+            if not (number or pa.types.is_timestamp(kind) or pa.types.is_date(kind)):
+                raise LogError(
+                    f"{source}: column {name!r} holds {kind} from row 1 on, not time; store "
+                    "it as time stamps or numbers."
+                )
+        elif not number:
+            raise LogError(
+                f"{source}: column {name!r} holds {kind} from row 1 on, not numbers; "
+                "convert it or leave it out."
+            )
+
+
 @dataclass(frozen=True)
 class ParquetTable:
     """A Parquet file; its first row is row 1."""
@@ -165,7 +199,7 @@ class ParquetTable:
     def batches(self, schema: LogSchema) -> Iterator[Batch]:
         """Its rows, in order."""
         file = self._file()
-        self._check_types(file.schema_arrow, schema)
+        check_types(self.name, file.schema_arrow, schema)
         row = 1
         try:
             for batch in file.iter_batches(batch_size=_ROWS, columns=list(schema.columns)):
@@ -183,29 +217,6 @@ class ParquetTable:
         for batch in self._file().iter_batches(batch_size=rows):
             return dict(zip(batch.schema.names, batch.columns, strict=True))
         return {}
-
-    def _check_types(self, types: Any, schema: LogSchema) -> None:
-        for name in schema.columns:
-            kind = types.field(name).type
-            number = (
-                pa.types.is_integer(kind)
-                or pa.types.is_floating(kind)
-                or pa.types.is_decimal(kind)
-                or pa.types.is_boolean(kind)
-            )
-            if name == schema.episode:
-                continue
-            if name == schema.time:
-                if not (number or pa.types.is_timestamp(kind) or pa.types.is_date(kind)):
-                    raise LogError(
-                        f"{self.name}: column {name!r} holds {kind} from row 1 on, not time; store "
-                        "it as time stamps or numbers."
-                    )
-            elif not number:
-                raise LogError(
-                    f"{self.name}: column {name!r} holds {kind} from row 1 on, not numbers; "
-                    "convert it or leave it out."
-                )
 
 
 def _reason(error: BaseException) -> str:

@@ -1,0 +1,332 @@
+"""Policies as a program uses them: NumPy in, NumPy out, in the units of the log."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import torch
+from torch import Tensor
+
+from components.core.files import replacing, write_text
+from components.core.integrity import DamagedFileError, load_json
+from components.core.random_streams import lane_generator, lane_key
+from components.data.card import DatasetCard
+from components.data.history import history_rows
+from components.environments.systems import SYSTEMS
+from components.evaluation.protocol import EvaluationProtocol
+from components.evaluation.real import evaluate_policies
+from components.policies.policy import Policy as StoredPolicy
+from proximity_bench.progress import progress_bars
+
+__all__ = ["Policy", "load"]
+
+_FORMAT: Final = "proximity_bench/1"
+_ORIGIN: Final = "origin.json"
+_BEHAVIOUR: Final = "behaviour"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Policy:
+    """A trained policy, which acts with its newest snapshot.
+
+    Attributes:
+        stack: All its snapshots, the oldest first.
+        seed: Of its training.
+        log: Card of the log it learned from; None: unknown.
+        behaviour: Clone of the log that distances are measured to; None: none was fitted.
+    """
+
+    stack: StoredPolicy
+    seed: int = 0
+    log: DatasetCard | None = None
+    behaviour: StoredPolicy | None = None
+
+    @property
+    def algorithm(self) -> str:
+        """The method that trained it."""
+        return self.stack.card.algorithm
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of the F values of a frame, in the order in which `act` wants them."""
+        return self.stack.card.features
+
+    @property
+    def history(self) -> int:
+        """Newest frames that it sees."""
+        return self.stack.card.history
+
+    @property
+    def takes_proximity(self) -> bool:
+        """Whether `act` wants a proximity."""
+        return self.stack.card.takes_proximity
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Updates after which its snapshots were taken."""
+        return self.stack.card.steps
+
+    @property
+    def action_bounds(self) -> npt.NDArray[np.float64]:
+        """`[A, 2]` smallest and largest value of each action, in the units of the log."""
+        bounds = self.log.action_bounds if self.log is not None else ()
+        return np.array(bounds or [(-1.0, 1.0)] * self.stack.card.actions)
+
+    def __repr__(self) -> str:
+        card, last = self.stack.card, self.steps[-1]
+        return f"Policy({card.algorithm} on {card.dataset}, seed {self.seed}, update {last})"
+
+    def at(self, step: int) -> "Policy":
+        """The snapshot that was taken after so many updates.
+
+        Raises:
+            ValueError: There is none; names those that there are.
+        """
+        if step not in self.steps:
+            known = ", ".join(map(str, self.steps))
+            raise ValueError(f"There is no snapshot of update {step}; there are {known}.")
+        number = self.steps.index(step)
+        card = replace(self.stack.card, steps=(step,))
+        return replace(self, stack=self.stack.lane(number, card))
+
+    def act(
+        self,
+        history: npt.ArrayLike | pd.DataFrame,
+        proximity: npt.ArrayLike | None = None,
+        *,
+        scaled: bool = False,
+        noise: np.random.Generator | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """Choose actions.
+
+        Args:
+            history: `[T, F]` frames in the units of the log, the newest last, or `[B, T, F]` of B
+                machines. Fewer than `self.history` frames count as the beginning of an episode,
+                before which its first frame repeats; of more, the newest are taken. A DataFrame
+                gives its columns by name.
+            proximity: λ in [0, 1], or `[B]`; needed exactly by policies that take it.
+            scaled: Return actions in [-1, 1] also where the log has bounds of its own.
+            noise: From which BCQ and BEAR draw candidates; by default a stream of this policy.
+
+        Returns:
+            `[A]`, or `[B, A]`: in the units of the log where its card knows the bounds of the
+            actions, else in [-1, 1].
+
+        Raises:
+            ValueError: Other widths, values that are missing or infinite, a proximity that is
+                missing, outside of [0, 1], or not wanted.
+        """
+        frames = self._frames(history)  # [B, T, F] or [T, F]
+        seen = frames if frames.ndim == 3 else frames[None]
+        newest = history_rows(np.asarray(seen.shape[1] - 1), np.asarray(0), self.history)
+        chosen = self._newest.act(
+            torch.from_numpy(seen[None, :, newest]),
+            self._proximity(proximity, len(seen)),
+            self._candidates(len(seen), noise),
+        )
+        actions = chosen[0].numpy().astype(np.float64)
+        if not scaled:
+            low, high = self.action_bounds.T
+            actions = low + (actions + 1) / 2 * (high - low)
+        return actions if frames.ndim == 3 else actions[0]
+
+    def evaluate(
+        self,
+        trajectories: int = 10,
+        *,
+        horizon: int = 100,
+        proximity_step: float = 0.05,
+        threads: int = 1,
+        progress: bool = True,
+    ) -> pd.DataFrame:
+        """Let the policy act in the real system that the log's card names, as a sweep does.
+
+        Args:
+            trajectories: For each proximity.
+            horizon: Steps of a trajectory.
+            proximity_step: Of the grid of proximities from 0 to 1.
+            threads: That step robots.
+            progress: Whether to show a bar.
+
+        Returns:
+            By `proximity` (NaN for policies without): mean discounted `return`, its
+            `standard_error`, and the mean `distance` to the actions of the cloned behaviour (NaN
+            without a clone).
+
+        Raises:
+            ValueError: There is no such system, or a number is out of range.
+        """
+        if self.log is None or self.log.environment not in SYSTEMS:
+            raise ValueError(
+                f"{self.stack.card.dataset} names no registered system, so its policies cannot be "
+                f"evaluated; registered are {', '.join(SYSTEMS)}."
+            )
+        protocol = EvaluationProtocol(
+            trajectories=trajectories, horizon=horizon, proximity_step=proximity_step
+        )
+        key = lane_key("evaluation", self.stack.card.dataset, self.algorithm, self.seed)
+        with progress_bars(progress) as begin:
+            [found] = evaluate_policies(
+                [self._newest],
+                None if self.behaviour is None else [self.behaviour],
+                self.log.environment,
+                self.log.environment_parameters,
+                protocol,
+                self.log.discount,
+                [key],
+                torch.device("cpu"),
+                begin("evaluation"),
+                threads,
+            )
+        returns = found.returns[0]  # [proximities, trajectories]
+        spread = returns.std(axis=1, ddof=1) if trajectories > 1 else np.full(len(returns), np.nan)
+        index = pd.Index(found.proximities, name="proximity")
+        columns = {
+            "return": returns.mean(axis=1),
+            "standard_error": spread / np.sqrt(trajectories),
+            "distance": found.distances[0],
+        }
+        return pd.DataFrame(columns, index)
+
+    def save(self, folder: str | Path) -> None:
+        """Store it in a new or empty folder, which appears complete or not at all.
+
+        Raises:
+            ValueError: The folder holds something already.
+        """
+        folder = Path(folder).expanduser()
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ValueError(f"{folder} is not empty; remove it or save the policy elsewhere.")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        log = None if self.log is None else json.loads(self.log.to_json())
+        origin = {"format": _FORMAT, "seed": self.seed, "log": log}
+        with replacing(folder) as made:
+            made.mkdir()
+            if self.behaviour is not None:
+                (made / _BEHAVIOUR).mkdir()
+                self.behaviour.save(made / _BEHAVIOUR)
+            write_text(made / _ORIGIN, json.dumps(origin, indent=2) + "\n")
+            self.stack.save(made)
+
+    @cached_property
+    def _newest(self) -> StoredPolicy:
+        last = self.stack.lanes - 1
+        return self.stack.lane(last, replace(self.stack.card, steps=self.steps[-1:]))
+
+    @cached_property
+    def _noise(self) -> np.random.Generator:
+        key = lane_key(self.stack.card.dataset, self.algorithm, self.seed)
+        return lane_generator(lane_key(key, "act"))
+
+    def _frames(self, history: npt.ArrayLike | pd.DataFrame) -> npt.NDArray[np.float32]:
+        """Checked frames ``[T, F]`` or ``[B, T, F]``."""
+        if isinstance(history, pd.DataFrame):
+            lacking = [name for name in self.features if name not in history.columns]
+            if lacking:
+                raise ValueError(f"The history lacks {', '.join(lacking)}; give {self._wanted}.")
+            history = history[list(self.features)]
+        try:
+            frames = np.asarray(history, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"The history holds no plain numbers ({error}).") from error
+        if frames.ndim not in (2, 3) or 0 in frames.shape:
+            raise ValueError(
+                f"The history has the shape {frames.shape}; give [T, F] frames in the order of "
+                f"time, or [B, T, F], of {self._wanted}."
+            )
+        if frames.shape[-1] != len(self.features):
+            raise ValueError(
+                f"The history has {frames.shape[-1]} values a frame; give {self._wanted}."
+            )
+        wrong = ~np.isfinite(frames)
+        if wrong.any():
+            place = np.argwhere(wrong)[0]
+            raise ValueError(
+                f"The history holds {frames[tuple(place)]} for {self.features[place[-1]]!r} in "
+                f"frame {place[-2]}; the policy needs every value."
+            )
+        return frames
+
+    @property
+    def _wanted(self) -> str:
+        return f"the {len(self.features)} values {', '.join(self.features)}"
+
+    def _proximity(self, given: npt.ArrayLike | None, machines: int) -> Tensor | None:
+        """Checked proximities ``[1, B]``."""
+        if (given is not None) != self.takes_proximity:
+            if given is None:
+                raise ValueError(
+                    f"A policy of {self.algorithm} needs proximity; give a number from 0, as it "
+                    "was always done, to 1, what the model thinks is best."
+                )
+            raise ValueError(f"A policy of {self.algorithm} takes no proximity; leave it out.")
+        if given is None:
+            return None
+        try:
+            values = np.broadcast_to(np.asarray(given, dtype=np.float32), (machines,))
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"proximity={given!r} is neither a number nor one for each of {machines} histories."
+            ) from error
+        if not ((values >= 0) & (values <= 1)).all():
+            raise ValueError(f"proximity={given!r} must lie in [0, 1].")
+        return torch.from_numpy(values.copy())[None]
+
+    def _candidates(self, machines: int, noise: np.random.Generator | None) -> Tensor | None:
+        card = self.stack.card
+        if not card.candidates:
+            return None
+        shape = (1, machines, card.candidates, card.noise)
+        return torch.from_numpy((noise or self._noise).standard_normal(shape, np.float32))
+
+
+def load(folder: str | Path) -> Policy:
+    """Read a policy: what `Policy.save` wrote, or a sweep's `nodes/KEY/policy`.
+
+    Raises:
+        FileNotFoundError: There is none.
+        ValueError: It is damaged.
+    """
+    folder = Path(folder).expanduser()
+    stack = StoredPolicy.load(folder)
+    seed, log = _of_sweep(folder) if not (folder / _ORIGIN).exists() else _origin(folder / _ORIGIN)
+    if log is not None and (log.frame_features, log.history) != (
+        stack.card.features,
+        stack.card.history,
+    ):
+        said = f"{folder} holds a policy of {stack.card.dataset} and the card of another log"
+        raise DamagedFileError(said, folder, "save the policy again")
+    behaviour = folder / _BEHAVIOUR
+    return Policy(stack, seed, log, StoredPolicy.load(behaviour) if behaviour.is_dir() else None)
+
+
+def _origin(path: Path) -> tuple[int, DatasetCard | None]:
+    """Seed and log of a saved policy."""
+    origin: Any = load_json(path)
+    try:
+        if origin["format"] != _FORMAT:
+            raise ValueError(f"its format is {origin['format']!r}, not {_FORMAT!r}")
+        return int(origin["seed"]), _card(origin["log"], path)
+    except (KeyError, TypeError, ValueError) as error:
+        said = f"{path} cannot be used ({str(error).rstrip('.')})"
+        raise DamagedFileError(said, path, "save the policy again") from error
+
+
+def _card(fields: Mapping[str, Any] | None, path: Path) -> DatasetCard | None:
+    return None if fields is None else DatasetCard.from_json(json.dumps(fields), path)
+
+
+def _of_sweep(folder: Path) -> tuple[int, DatasetCard | None]:
+    """Seed and log of a policy in a store, as far as they are to be found."""
+    record = folder.parent / "node.json"
+    if not record.is_file():
+        return 0, None
+    node: Any = load_json(record)
+    card = folder.parents[1] / str(node["inputs"].get("dataset")) / "dataset" / "card.json"
+    return int(node["config"]["seed"]), DatasetCard.load(card) if card.is_file() else None
