@@ -111,9 +111,11 @@ def test_a_slow_learner_pays_its_share_of_a_block_s_draws(monkeypatch: pytest.Mo
 @pytest.mark.slow(6)
 def test_evaluation_is_measured() -> None:
     settings = Settings(quick=True, threads=1, seconds=0.01, matrix_rate=1e9, bandwidth=1e9)
-    [row] = run.measured("evaluation", settings)
-    assert row.note == "actor 256-256"
-    assert row.value
+    ours, peer = run.measured("evaluation", settings)
+    assert ours.note == "actor 256-256"
+    assert ours.value
+    assert peer.value
+    assert peer.peer
 
 
 @pytest.mark.slow(15)

@@ -4,6 +4,7 @@ import ast
 import json
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -263,18 +264,18 @@ def test_the_clock_runs_past_the_warm_up_and_starts_with_a_draw_of_random_number
     settings = {"hidden": config.hidden, "batch": config.batch}
     if hasattr(config, "vae_hidden"):
         settings["vae_hidden"] = (8,)
-    at, stage = LaneStreams.at, LaneStreams.stage
+    at, keep = LaneStreams.at, LaneStreams._keep
 
     def watched_at(self: LaneStreams, step: int) -> dict[str, torch.Tensor]:
         steps.append(step)
         return at(self, step)
 
-    def watched_stage(self: LaneStreams, first: int, count: int) -> None:
+    def watched_keep(self: LaneStreams, words: Mapping[str, torch.Tensor]) -> None:
         draws.append(steps[-1])
-        stage(self, first, count)
+        keep(self, words)
 
     monkeypatch.setattr(LaneStreams, "at", watched_at)
-    monkeypatch.setattr(LaneStreams, "stage", watched_stage)
+    monkeypatch.setattr(LaneStreams, "_keep", watched_keep)
     assert model_free.own_seconds(algorithm, log, 2, 3, settings) > 0
     assert steps == list(range(steps[0], steps[0] + model_free.WARM_UP + 3))
     assert draws == [steps[0], steps[model_free.WARM_UP]]
