@@ -30,7 +30,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from flows.tasks.memory import keep_freed_memory
 
 from benchmarks.lanes import program
 from benchmarks.measure import computer, markdown
@@ -41,6 +40,7 @@ from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
+from components.training.memory import keep_freed_memory
 
 __all__ = [
     "PEER",

@@ -27,7 +27,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from flows.tasks.memory import keep_freed_memory
 
 from benchmarks import learner_paths, paths, pipeline_paths
 from benchmarks.floors import Limits
@@ -38,6 +37,7 @@ from benchmarks.records import Results, Row
 from benchmarks.settings import Settings
 from components.algorithms import ALGORITHMS
 from components.models import MODELS
+from components.training.memory import keep_freed_memory
 from flows.pipeline.computer import set_precision
 from flows.pipeline.signals import ending_signals, exit_code
 

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import torch
 import proximity_bench as pb
 from components.algorithms import ALGORITHMS
 from components.policies.policy import Policy as StoredPolicy
+from components.training.divergence import DivergedError
 from flows.configuration.settings import load_settings
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node
@@ -24,6 +25,7 @@ from flows.pipeline.runner import run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import NullTracker
 from flows.planning.benchmark import benchmark_plan
+from proximity_bench.progress import progress_bars
 from tests.components.algorithms.stacks import PLAIN, SMALL
 from tests.components.synthetic import make_log
 from tests.conftest import ROOT
@@ -199,3 +201,29 @@ def test_neither_ray_nor_mlflow_nor_hydra_is_imported() -> None:
     assert {"torch", "components", "proximity_bench"} <= loaded
     assert not loaded & {"ray", "mlflow", "hydra", "optuna", "minari"}
     assert done.stderr == ""  # no bars where there is no terminal
+
+
+def test_of_several_seeds_the_finite_ones_are_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = trained("bc", seeds=[0, 1])
+    ended = replace(found[0].stack, card=replace(found[0].stack.card, ended_at=4))
+    lost = DivergedError("its loss was no longer finite at update 1")
+    monkeypatch.setattr("proximity_bench.training._train", lambda *given: [ended, lost])
+    with pytest.warns(UserWarning, match="seed") as told:
+        [kept] = trained("bc", seeds=[0, 1])
+    assert kept.stack is ended
+    first, second = (str(warning.message) for warning in told)
+    assert first.endswith("seed 0 diverged by update 4; the last finite policy stays.")
+    assert "seed 1 diverged: its loss was no longer finite at update 1; lower" in second
+    monkeypatch.setattr("proximity_bench.training._train", lambda *given: [lost, lost])
+    with pytest.raises(ValueError, match="seed 0 diverged"):
+        trained("bc", seeds=[0, 1])
+
+
+def test_a_terminal_sees_a_bar_for_every_fit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as if it were one
+    for shown in (True, False):
+        with progress_bars(shown) as begin:
+            begin("recurrent_ensemble")(0.5)
+        assert ("recurrent_ensemble" in capsys.readouterr().err) is shown
