@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
+from flows.command_line import COMMON_HELP, Metrics, main, run_sweep, window_width
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
@@ -52,10 +52,10 @@ def _run(settings: Settings) -> int:
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         written = write_report(folder, plan, ArtifactStore(settings.store))
-        for line in written.lines():
+        for line in written.lines(window_width()):
             print(line)
         if not written.table.empty:
-            print(f"\nTable and figures: {folder}/")
+            print(f"\nAll numbers and figures: {folder}/")
         return written.files, written.headline
 
     return run_sweep(settings, name, plan, report)

@@ -11,6 +11,8 @@ from components.core.files import write_text
 from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
+from components.reporting.overview import Overview, overview
+from components.reporting.overview_text import markdown_overview, text_overview
 from components.reporting.stored import ReportNodes
 from components.reporting.tables import (
     ended_notes,
@@ -22,9 +24,11 @@ from components.reporting.tables import (
 )
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
+from flows.report.comparison import comparable_behaviour, compare
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.returns import with_intervals
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -39,26 +43,31 @@ class Report:
     Attributes:
         files: The table as CSV and as Markdown, figures.
         table: One row per dataset, algorithm and proximity.
+        overview: One row per dataset, one column per algorithm.
         summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
         fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
         graphs: Sentences about trainings that have lost their CUDA graphs.
+        comparison: Sentences about what cannot be compared with the thesis.
     """
 
     files: Sequence[Path]
     table: pd.DataFrame
+    overview: Overview
     summaries: Sequence[Mapping[str, Any]]
     without_system: Sequence[str]
     fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
     graphs: Sequence[str] = ()
+    comparison: Sequence[str] = ()
 
     @property
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
         reason = "has no system to evaluate on: its policies are stored but not evaluated."
         return [
+            *self.comparison,
             *self.fit_notes,
             *ended_notes(self.summaries),
             *undefined_notes(self.summaries),
@@ -78,10 +87,21 @@ class Report:
             for summary in self.summaries
         }
 
-    def lines(self) -> list[str]:
-        """What to print: the table, if it has rows, and notes on it."""
-        table = [] if self.table.empty else markdown_table(self.table).splitlines()
+    def lines(self, width: int) -> list[str]:
+        """What to print: the overview, if it has rows, and notes on it.
+
+        Args:
+            width: Of the window in characters.
+        """
+        table = []
+        if not self.table.empty:
+            table = [*text_overview(self.overview, width).splitlines(), "", *self.overview.notes()]
         return [*table, *(f"Note: {note}" for note in self.notes)]
+
+    def markdown(self) -> str:
+        """The overview, what its signs mean, and the long form, as Markdown."""
+        signs = "".join(f"\n{note}\n" for note in self.overview.notes())
+        return f"{markdown_overview(self.overview)}{signs}\n{markdown_table(self.table)}"
 
 
 def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
@@ -99,25 +119,31 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     done = [node for node in plan if store.complete(node.key)]
     aggregations = [node for node in done if node.component == "aggregation"]
     generations = [node for node in done if node.component == "data_generation"]
-    summaries = [with_undefined(store.read_json(node.key, "summary.json")) for node in aggregations]
+    summaries = [
+        with_intervals(with_undefined(store.read_json(node.key, "summary.json")), node, store)
+        for node in aggregations
+    ]
     for node in generations:
         store.check(node.key, (_CARD,))
     cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
-    table = result_table(summaries)
+    table, comparison = result_table(summaries), compare(aggregations)
+    logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))
     report = Report(
         files,
         table,
+        overview(table, logged, comparison.thesis, comparison.footnotes),
         summaries,
         _without_system(plan),
         fit_notes(done, store),
         software_notes(aggregations, store),
         graph_notes(done, store),
+        comparison.notes,
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
-    text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+    text = report.markdown() + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
     ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
     write_text(folder / "results.csv", results_csv(table))

@@ -10,6 +10,7 @@ import pytest
 from components.core.files import write_json
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco.specifications import HOPPER
+from components.reporting.overview import Overview
 from components.reporting.stored import open_report
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
@@ -25,6 +26,7 @@ from tests.flows.pipeline.toys import record_of
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
 ]  # fmt: skip
+EMPTY = Overview([], {}, {})
 POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm"], -1.0)
 
 
@@ -54,6 +56,7 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     class Card:
         name, environment = "mediocre-0.2", INDUSTRIAL_BENCHMARK_ID
         first_window_return_mean, all_windows_return_mean = -2.0, -3.0
+        return_steps, discount = 100, 0.97
 
     drawn, behaviour = [], []
 
@@ -90,6 +93,7 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
 
     class Card:
         name, first_window_return_mean, environment = "mediocre-0.2", 2.0, INDUSTRIAL_BENCHMARK_ID
+        return_steps, discount = 100, 0.97
 
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     [_, text] = report.write_report(tmp_path / "industrial", plan, store).files
@@ -161,8 +165,10 @@ def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> No
 
 
 def test_the_report_shows_the_note_on_software() -> None:
-    written = report.Report([], pd.DataFrame(), [], [], ["The cells come from different software."])
-    assert written.lines() == ["Note: The cells come from different software."]
+    written = report.Report(
+        [], pd.DataFrame(), EMPTY, [], [], ["The cells come from different software."]
+    )
+    assert written.lines(100) == ["Note: The cells come from different software."]
 
 
 def test_films_are_those_of_the_first_seed() -> None:
@@ -185,7 +191,7 @@ def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
         summary("lion", (0.0, -9.0), (0.55, -7.0), (1.0, -8.0)),
         summary("bc", (None, -6.0)),
     ]
-    assert report.Report([], pd.DataFrame(), summaries, []).headline == {
+    assert report.Report([], pd.DataFrame(), EMPTY, summaries, []).headline == {
         "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
     }
@@ -206,8 +212,8 @@ def test_lost_graphs_are_noted_under_the_table(tmp_path: Path) -> None:
         "Trained without CUDA graphs, which may take ten times as long: "
         f"{', '.join(node.name for node in policies[:3])} and 1 more (updates: no room)."
     )
-    written = report.Report([], pd.DataFrame(), [], [], graphs=[note])
-    assert written.lines() == [f"Note: {note}"]
+    written = report.Report([], pd.DataFrame(), EMPTY, [], [], graphs=[note])
+    assert written.lines(100) == [f"Note: {note}"]
 
 
 def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
@@ -239,6 +245,6 @@ def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
     text = (tmp_path / "reports" / "sweep" / "results.md").read_text()
     assert f"- {model}\n- {learned}\n- {returns}" in text
     assert "not finite" in text
-    assert f"Note: {model}" in written.lines()
+    assert f"Note: {model}" in written.lines(100)
     [shown] = open_report(tmp_path, "sweep").summaries
     assert shown["points"][0]["mean"] != shown["points"][0]["mean"]

@@ -1,0 +1,184 @@
+"""The overview of a sweep: one row per dataset, one column per algorithm.
+
+An algorithm whose policy takes a proximity has three columns: proximity 0, the best, and 1. Below
+every number stands its difference to the logged behaviour, and below that the thesis's value where
+it can be compared. The long form is :mod:`components.reporting.tables`.
+"""
+
+import math
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import pandas as pd
+
+__all__ = ["Cell", "Column", "Overview", "Thesis", "overview", "shown"]
+
+_LEGEND: Final = (
+    "Numbers: 10th percentile of the pooled policies' discounted returns in the real system; * the "
+    "best of a row; logged: mean return of the logged behaviour."
+)
+_BEST_LEGEND: Final = (
+    "best λ: the best of those that were evaluated, seen in hindsight; fixed policies have no such "
+    "choice."
+)
+_SPREAD_LEGEND: Final = (
+    "Spread: the long form has the thesis's standard error, 1.7 sd / √N over N policies, of which "
+    "those of one seed resemble each other, and a 95 % interval that draws whole seeds instead."
+)
+
+Point = Literal["", "0", "best", "1"]
+
+
+@dataclass(frozen=True)
+class Thesis:
+    """The thesis's value of a cell and the footnotes that it needs.
+
+    Attributes:
+        value: 10th percentile.
+        error: Its standard error.
+        marks: Of the footnotes, e.g. "¹".
+    """
+
+    value: float
+    error: float
+    marks: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: an algorithm, and of one that takes a proximity which."""
+
+    algorithm: str
+    point: Point = ""
+
+    @property
+    def place(self) -> str:
+        """Where on the proximity's range; empty for policies that take none."""
+        return {"": "", "best": "best λ"}.get(self.point, f"λ={self.point}")
+
+    @property
+    def heading(self) -> str:
+        """What stands above it."""
+        return f"{self.algorithm} {self.place}".rstrip()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What an algorithm achieved on a dataset.
+
+    Attributes:
+        value: 10th percentile; NaN: a return was not finite.
+        standard_error: As the thesis computes it.
+        interval: Seed-clustered, see :mod:`components.aggregation.intervals`; NaN if unknown.
+        proximity: Of a column "best", where the best lies; else None.
+        difference: To the logged behaviour; None if that is not comparable.
+        thesis: Its value if it is comparable; else None.
+        best: Whether no value of the row is larger.
+    """
+
+    value: float
+    standard_error: float
+    interval: tuple[float, float]
+    proximity: float | None = None
+    difference: float | None = None
+    thesis: Thesis | None = None
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Rows and columns.
+
+    Attributes:
+        columns: In the order of the algorithms.
+        logged: Mean return of every dataset's logged behaviour; None if it is not comparable.
+        cells: By dataset and column; what is missing has none.
+        footnotes: Sentences by mark.
+    """
+
+    columns: Sequence[Column]
+    logged: Mapping[str, float | None]
+    cells: Mapping[tuple[str, Column], Cell]
+    footnotes: Mapping[str, str] = field(default_factory=dict)
+
+    def row(self, dataset: str) -> list[Cell | None]:
+        """The cells of a dataset in the order of the columns."""
+        return [self.cells.get((dataset, column)) for column in self.columns]
+
+    def notes(self) -> list[str]:
+        """What the table's signs mean."""
+        best = [_BEST_LEGEND] if any(column.point == "best" for column in self.columns) else []
+        used = {cell.thesis.marks for cell in self.cells.values() if cell.thesis}
+        marked = [f"{m} {text}" for m, text in self.footnotes.items() if any(m in u for u in used)]
+        return [_LEGEND, *best, _SPREAD_LEGEND, *marked]
+
+
+def overview(
+    table: pd.DataFrame,
+    logged: Mapping[str, float | None],
+    thesis: Mapping[tuple[str, str], Thesis],
+    footnotes: Mapping[str, str],
+) -> Overview:
+    """Make the overview of a table of results.
+
+    Args:
+        table: As :func:`~components.reporting.tables.result_table` makes it.
+        logged: Dataset -> mean return of its logged behaviour; None where it is not comparable.
+        thesis: (dataset, algorithm) -> the thesis's value; only those that are comparable.
+        footnotes: Sentences by the marks of the thesis's values.
+    """
+    columns: dict[Column, None] = {}
+    cells: dict[tuple[str, Column], Cell] = {}
+    for (dataset, algorithm), rows in table.groupby(["dataset", "algorithm"], sort=False):
+        name, level = str(dataset), logged.get(str(dataset))
+        for point, row in _points(rows):
+            columns.setdefault(Column(str(algorithm), point))
+            value = float(row["tenth_percentile"])
+            cells[name, Column(str(algorithm), point)] = Cell(
+                value,
+                float(row["standard_error"]),
+                (float(row["interval_low"]), float(row["interval_high"])),
+                float(row["proximity"]) if point == "best" else None,
+                None if level is None else value - level,
+                thesis.get((name, str(algorithm))),
+            )
+    names = [str(name) for name in table["dataset"].unique()]
+    for name in names:
+        _mark_best(cells, name)
+    return Overview(
+        sorted(columns, key=lambda c: [x.algorithm for x in columns].index(c.algorithm)),
+        {name: logged.get(name) for name in names},
+        cells,
+        footnotes,
+    )
+
+
+def _points(rows: pd.DataFrame) -> Iterator[tuple[Point, Mapping[Hashable, Any]]]:
+    """The rows of a (dataset, algorithm) pair that the overview shows."""
+    ordered = rows.sort_values("proximity").to_dict("records")
+    if rows["proximity"].isna().all():
+        yield "", ordered[0]
+        return
+    yield "0", ordered[0]
+    yield "best", max(ordered, key=lambda row: _or_least(row["tenth_percentile"]))
+    yield "1", ordered[-1]
+
+
+def _or_least(value: float) -> float:
+    return value if math.isfinite(value) else -math.inf
+
+
+def _mark_best(cells: dict[tuple[str, Column], Cell], dataset: str) -> None:
+    own = {key: cell for key, cell in cells.items() if key[0] == dataset}
+    values = [cell.value for cell in own.values() if math.isfinite(cell.value)]
+    for key, cell in own.items():
+        if values and cell.value == max(values):
+            cells[key] = Cell(**{**cell.__dict__, "best": True})
+
+
+def shown(value: float, sign: bool = False) -> str:
+    """A return with one decimal; "not finite" if a policy has diverged."""
+    if not math.isfinite(value):
+        return "not finite"
+    return f"{value:+.1f}" if sign else f"{value:.1f}"
