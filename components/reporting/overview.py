@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 
 import pandas as pd
 
-__all__ = ["Cell", "Column", "Overview", "Thesis", "overview", "shown"]
+__all__ = ["Column", "Overview", "Thesis", "Value", "overview", "shown"]
 
 _LEGEND: Final = (
     "Numbers: 10th percentile of the pooled policies' discounted returns in the real system; * the "
@@ -38,11 +38,13 @@ class Thesis:
         value: 10th percentile.
         error: Its standard error.
         marks: Of the footnotes, e.g. "¹".
+        other_discount: Whether it is discounted otherwise, so that it is no measure of agreement.
     """
 
     value: float
     error: float
     marks: str = ""
+    other_discount: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Value:
     """What an algorithm achieved on a dataset.
 
     Attributes:
@@ -99,10 +101,10 @@ class Overview:
 
     columns: Sequence[Column]
     logged: Mapping[str, float | None]
-    cells: Mapping[tuple[str, Column], Cell]
+    cells: Mapping[tuple[str, Column], Value]
     footnotes: Mapping[str, str] = field(default_factory=dict)
 
-    def row(self, dataset: str) -> list[Cell | None]:
+    def row(self, dataset: str) -> list[Value | None]:
         """The cells of a dataset in the order of the columns."""
         return [self.cells.get((dataset, column)) for column in self.columns]
 
@@ -129,13 +131,13 @@ def overview(
         footnotes: Sentences by the marks of the thesis's values.
     """
     columns: dict[Column, None] = {}
-    cells: dict[tuple[str, Column], Cell] = {}
+    cells: dict[tuple[str, Column], Value] = {}
     for (dataset, algorithm), rows in table.groupby(["dataset", "algorithm"], sort=False):
         name, level = str(dataset), logged.get(str(dataset))
         for point, row in _points(rows):
             columns.setdefault(Column(str(algorithm), point))
             value = float(row["tenth_percentile"])
-            cells[name, Column(str(algorithm), point)] = Cell(
+            cells[name, Column(str(algorithm), point)] = Value(
                 value,
                 float(row["standard_error"]),
                 (float(row["interval_low"]), float(row["interval_high"])),
@@ -169,12 +171,12 @@ def _or_least(value: float) -> float:
     return value if math.isfinite(value) else -math.inf
 
 
-def _mark_best(cells: dict[tuple[str, Column], Cell], dataset: str) -> None:
+def _mark_best(cells: dict[tuple[str, Column], Value], dataset: str) -> None:
     own = {key: cell for key, cell in cells.items() if key[0] == dataset}
     values = [cell.value for cell in own.values() if math.isfinite(cell.value)]
     for key, cell in own.items():
         if values and cell.value == max(values):
-            cells[key] = Cell(**{**cell.__dict__, "best": True})
+            cells[key] = Value(**{**cell.__dict__, "best": True})
 
 
 def shown(value: float, sign: bool = False) -> str:

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from components.reporting.overview import Cell, Overview, shown
+from components.reporting.overview import Overview, Value, shown
 
 __all__ = ["latex_overview", "markdown_overview", "text_overview"]
 
 _GAP: Final = "  "
-_LINES: Final[dict[str, Callable[[Cell], str]]] = {
+_LINES: Final[dict[str, Callable[[Value], str]]] = {
     "  to logged": lambda c: "" if c.difference is None else shown(c.difference, sign=True) + " ",
     "  at λ": lambda c: "" if c.proximity is None else f"{c.proximity:.2f} ",
     "  thesis": lambda c: (
@@ -64,7 +64,7 @@ def _lines(table: Overview) -> tuple[list[str], list[list[str]]]:
     return labels, rows
 
 
-def _value(cell: Cell | None) -> str:
+def _value(cell: Value | None) -> str:
     return "" if cell is None else shown(cell.value) + ("*" if cell.best else " ")
 
 
@@ -95,7 +95,7 @@ def markdown_overview(table: Overview) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def _markdown(cell: Cell | None) -> str:
+def _markdown(cell: Value | None) -> str:
     if cell is None:
         return ""
     value = f"**{shown(cell.value)}**" if cell.best else shown(cell.value)
@@ -124,7 +124,7 @@ def latex_overview(table: Overview) -> str:
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def _latex(cell: Cell | None) -> str:
+def _latex(cell: Value | None) -> str:
     if cell is None:
         return ""
     value = rf"\textbf{{{shown(cell.value)}}}" if cell.best else shown(cell.value)

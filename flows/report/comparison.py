@@ -97,10 +97,11 @@ def compare(cells: Iterable[Node]) -> Comparison:
             continue
         if _protocol(cell) == _protocol(paper[pair]):
             industrial = _evaluation(cell).config["environment"] == INDUSTRIAL_BENCHMARK_ID
-            marks = _OTHER_DISCOUNT if industrial and pair[1] == _DISCOUNTED else ""
+            discounted = industrial and pair[1] == _DISCOUNTED
+            marks = _OTHER_DISCOUNT if discounted else ""
             marks += _REDUCED if any(d.reduces for d in differences[pair]) else ""
             marks += "" if industrial else _OTHER_LOG
-            thesis[pair] = Thesis(*numbers[pair], marks)
+            thesis[pair] = Thesis(*numbers[pair], marks, discounted)
         else:
             foreign.append(cell)
     footnotes = {

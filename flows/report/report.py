@@ -28,7 +28,7 @@ from flows.report.comparison import comparable_behaviour, compare
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
-from flows.report.returns import with_intervals
+from flows.report.returns import cell_returns, with_intervals
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -119,10 +119,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     done = [node for node in plan if store.complete(node.key)]
     aggregations = [node for node in done if node.component == "aggregation"]
     generations = [node for node in done if node.component == "data_generation"]
-    summaries = [
-        with_intervals(with_undefined(store.read_json(node.key, "summary.json")), node, store)
-        for node in aggregations
-    ]
+    summaries = [_summary(node, store) for node in aggregations]
     for node in generations:
         store.check(node.key, (_CARD,))
     cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
@@ -149,6 +146,11 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     write_text(folder / "results.csv", results_csv(table))
     write_text(folder / "results.md", text)
     return report
+
+
+def _summary(cell: Node, store: ArtifactStore) -> dict[str, Any]:
+    stored = with_undefined(store.read_json(cell.key, "summary.json"))
+    return with_intervals(stored, cell_returns(cell, store), cell.config["pool_fraction"])
 
 
 def _without_system(plan: Plan) -> list[str]:

@@ -12,7 +12,7 @@ from components.core.arrays import load_arrays
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["SeedReturns", "pool_of", "read_returns", "with_intervals"]
+__all__ = ["SeedReturns", "cell_returns", "pooled_snapshots", "with_intervals"]
 
 _FILE = "returns.npz"
 
@@ -34,43 +34,44 @@ class SeedReturns:
     returns: npt.NDArray[np.float64]
 
 
-def read_returns(evaluation: Node, store: ArtifactStore) -> SeedReturns | None:
-    """Read what an evaluation has found; None if it is not finished, or has been removed.
+def cell_returns(cell: Node, store: ArtifactStore) -> list[SeedReturns]:
+    """What the seeds of an aggregation have found; none if any of them has been removed.
 
     Raises:
-        DamagedFileError: Its file is missing or damaged.
+        DamagedFileError: A file is missing or damaged.
     """
-    if not store.complete(evaluation.key):
-        return None
+    evaluations = list(cell.inputs.values())
+    if not all(store.complete(node.key) for node in evaluations):
+        return []
+    return [_read(node, store) for node in evaluations]
+
+
+def _read(evaluation: Node, store: ArtifactStore) -> SeedReturns:
     store.check(evaluation.key, (_FILE,))
     stored = load_arrays(store.path(evaluation.key) / _FILE)
     means = stored["returns"].mean(axis=-1)
-    seed = int(evaluation.tags["seed"])
-    return SeedReturns(seed, stored["steps"], stored["lambdas"], means)
+    return SeedReturns(int(evaluation.tags["seed"]), stored["steps"], stored["lambdas"], means)
 
 
-def pool_of(seeds: Sequence[SeedReturns], fraction: float) -> npt.NDArray[np.float64]:
-    """The pool of policies ``[seeds, last, P]``: the last share of every seed's snapshots."""
-    last = max(1, round(fraction * len(seeds[0].returns)))
-    return np.stack([seed.returns[-last:] for seed in seeds])
+def pooled_snapshots(seeds: Sequence[SeedReturns], fraction: float) -> int:
+    """How many of the last snapshots of every seed are pooled, as aggregation counts them."""
+    return max(1, round(fraction * len(seeds[0].returns)))
 
 
-def with_intervals(summary: Mapping[str, Any], cell: Node, store: ArtifactStore) -> dict[str, Any]:
+def with_intervals(
+    summary: Mapping[str, Any], seeds: Sequence[SeedReturns], fraction: float
+) -> dict[str, Any]:
     """A summary whose points have the seed-clustered interval of their 10th percentile.
 
     Args:
         summary: As aggregation stores it.
-        cell: The aggregation.
-        store: With its inputs. Where one is gone, points have no interval.
-
-    Raises:
-        DamagedFileError: The returns of an input are missing or damaged.
+        seeds: Behind it; where there are none, points have no interval.
+        fraction: Last share of the snapshots that is pooled.
     """
-    seeds = [read_returns(node, store) for node in cell.inputs.values()]
-    known = [seed for seed in seeds if seed is not None]
-    if len(known) < len(seeds):
+    if not seeds:
         return dict(summary)
-    low, high = seed_interval(pool_of(known, cell.config["pool_fraction"]))
+    last = pooled_snapshots(seeds, fraction)
+    low, high = seed_interval(np.stack([seed.returns[-last:] for seed in seeds]))
     points = [
         {**point, "interval_low": float(a), "interval_high": float(b)}
         for point, a, b in zip(summary["points"], low, high, strict=True)
