@@ -13,11 +13,14 @@ __all__ = ["agreement_table", "correlation_rows", "domain_of"]
 
 _INDUSTRIAL: Final = "the Industrial Benchmark (table 5.4)"
 _ROBOTS: Final = "the robots (table 5.3)"
+_UNKNOWN: Final = "not generated yet"
 _EVERYTHING: Final = "all"
 
 
 def domain_of(system: str) -> str:
     """The thesis's table that a system's datasets belong to."""
+    if not system:
+        return _UNKNOWN
     return _INDUSTRIAL if "IndustrialBenchmark" in system else _ROBOTS
 
 

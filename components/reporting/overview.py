@@ -108,12 +108,16 @@ class Overview:
         """The cells of a dataset in the order of the columns."""
         return [self.cells.get((dataset, column)) for column in self.columns]
 
-    def notes(self) -> list[str]:
-        """What the table's signs mean."""
+    def signs(self) -> list[str]:
+        """What its columns and footnotes mean."""
         best = [_BEST_LEGEND] if any(column.point == "best" for column in self.columns) else []
-        used = {cell.thesis.marks for cell in self.cells.values() if cell.thesis}
+        used = {value.thesis.marks for value in self.cells.values() if value.thesis}
         marked = [f"{m} {text}" for m, text in self.footnotes.items() if any(m in u for u in used)]
-        return [_LEGEND, *best, _SPREAD_LEGEND, *marked]
+        return [*best, *marked]
+
+    def notes(self) -> list[str]:
+        """What all of it means, for readers of the table alone."""
+        return [_LEGEND, _SPREAD_LEGEND, *self.signs()]
 
 
 def overview(

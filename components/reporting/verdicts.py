@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from components.reporting.evidence import Cell, Evidence
-from components.reporting.overview import Cell as Value
-from components.reporting.overview import Column, shown
+from components.reporting.overview import Column, Value, shown
 
 __all__ = ["Verdict", "verdicts"]
 
@@ -42,6 +41,8 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
     level = evidence.table.logged[dataset]
     row = zip(evidence.table.columns, evidence.table.row(dataset), strict=True)
     found = [(column, value) for column, value in row if value and math.isfinite(value.value)]
+    if not evidence.on(dataset):
+        return Verdict(dataset, "unknown", "Not finished yet", [])
     if not found:
         return Verdict(dataset, "unknown", "No result", ["No policy has a finite return."])
     column, best = max(found, key=lambda pair: pair[1].value)
@@ -71,14 +72,16 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
 
 
 def _named(column: Column, cell: Value) -> str:
-    place = f" at λ {cell.proximity:.2f}" if cell.proximity is not None else ""
-    return f"{column.algorithm}{place or f' {column.place}'}".rstrip()
+    if not column.point:
+        return column.algorithm
+    place = column.point if cell.proximity is None else f"{cell.proximity:.2f}"
+    return f"{column.algorithm} at λ {place}"
 
 
 def _judge(best: Value, level: float) -> tuple[Judgement, str]:
-    gain, (low, _) = best.value - level, best.interval
+    gain, (low, high) = best.value - level, best.interval
     if gain <= 0:
-        return "none", "Leave it as it is"
+        return "none", "As good as the log at most" if high >= level else "Leave it as it is"
     if math.isnan(low):
         return "unsure", "A gain seen once"
     if low <= level:

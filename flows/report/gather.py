@@ -1,7 +1,7 @@
 """Gathers what a report shows from a store: one sweep, or several beside each other."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ import pandas as pd
 
 from components.data.card import DatasetCard
 from components.reporting.evidence import Cell, Evidence, Gap, Log
-from components.reporting.overview import overview
+from components.reporting.overview import Column, Overview, overview
 from components.reporting.tables import (
     ended_notes,
     result_table,
@@ -74,9 +74,12 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     for part in parts:
         footnotes |= part.comparison.footnotes
     table = result_table(s for part in parts for s in part.summaries)
-    rows = overview(table, {name: log.level for name, log in logs.items()}, thesis, footnotes)
+    gaps = [gap for part in parts for gap in part.gaps]
+    levels = {name: log.level for name, log in logs.items()}
+    rows = _with_gaps(overview(table, levels, thesis, footnotes), gaps, levels)
     cells = {(c.dataset, c.algorithm): c for part in parts for c in part.cells}
-    shown = {name: logs[name] for name in rows.logged}
+    unknown = {name: Log(name, "", None, None, "not generated yet") for name in rows.logged}
+    shown = {name: logs.get(name, unknown[name]) for name in rows.logged}
     done = list({node.key: node for part in parts for node in part.sweep.done}.values())
     aggregations = [node for part in parts for node in part.sweep.of("aggregation")]
     notes = [note for part in parts for note in part.comparison.notes]
@@ -85,7 +88,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         sweeps={part.sweep.name: part.sweep.command for part in parts},
         logs=shown,
         cells=cells,
-        gaps=[gap for part in parts for gap in part.gaps],
+        gaps=gaps,
         table=rows,
         thesis=thesis,
         notes=[
@@ -162,6 +165,18 @@ def _gaps(sweep: StoredSweep, suffix: str) -> list[Gap]:
             wanted = done + sum(name.startswith(begin) for name in sweep.missing)
             gaps.append(Gap(dataset, label + suffix, f"{done} of {wanted} seeds evaluated"))
     return gaps
+
+
+def _with_gaps(
+    table: Overview, gaps: Sequence[Gap], levels: Mapping[str, float | None]
+) -> Overview:
+    """The overview with rows and columns of what is not finished anywhere, too."""
+    known = {column.algorithm for column in table.columns}
+    names = dict.fromkeys(gap.algorithm for gap in gaps if gap.algorithm not in known)
+    logged = dict(table.logged)
+    for gap in gaps:
+        logged.setdefault(gap.dataset, levels.get(gap.dataset))
+    return replace(table, columns=[*table.columns, *map(Column, names)], logged=logged)
 
 
 def _differences(parts: Sequence[_Part]) -> pd.DataFrame:

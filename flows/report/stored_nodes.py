@@ -7,9 +7,9 @@ from typing import Any
 
 from flows.configuration.checking import SettingsError
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
+from flows.pipeline.sweep_records import SweepRecord, known_nodes, read_sweep, sweep_files
 
-__all__ = ["StoredNode", "StoredSweep", "read_stored_sweep", "sweeps_of"]
+__all__ = ["StoredNode", "StoredSweep", "has_cells", "read_stored_sweep", "sweeps_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,11 @@ class StoredSweep:
 def sweeps_of(root: Path) -> list[str]:
     """Names of the sweeps that a store has records of."""
     return [path.stem for path in sweep_files(root)]
+
+
+def has_cells(root: Path, name: str) -> bool:
+    """Whether a sweep is one of policies, not a search or a ranking."""
+    return any(run.startswith("aggregate/") for run in known_nodes(root, name).values())
 
 
 def read_stored_sweep(store: ArtifactStore, name: str) -> StoredSweep:
