@@ -51,6 +51,7 @@ class Cell:
         returns: ``[R, S, P]`` mean over real trajectories.
         pooled: Last snapshots of every seed that are pooled.
         points: The stored statistics of every proximity.
+        level: Mean return of the logged behaviour; None if it is counted otherwise.
     """
 
     dataset: str
@@ -62,6 +63,7 @@ class Cell:
     returns: npt.NDArray[np.float64]
     pooled: int
     points: Sequence[Mapping[str, Any]]
+    level: float | None = None
 
     @property
     def adapts(self) -> bool:
@@ -146,6 +148,11 @@ class Evidence:
     def algorithms(self) -> list[str]:
         """Labels in the order of the table."""
         return list(dict.fromkeys(column.algorithm for column in self.table.columns))
+
+    def comparable_on(self, dataset: str) -> list[Cell]:
+        """Those of a dataset's finished cells that may be compared with each other."""
+        names = {column.algorithm for column in self.table.comparable(dataset)}
+        return [cell for cell in self.on(dataset) if cell.algorithm in names]
 
     def on(self, dataset: str) -> list[Cell]:
         """The finished cells of a dataset, in the order of the table."""

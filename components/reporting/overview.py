@@ -7,7 +7,8 @@ it can be compared. The long form is :mod:`components.reporting.tables`.
 
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import pandas as pd
@@ -108,6 +109,17 @@ class Overview:
         """The cells of a dataset in the order of the columns."""
         return [self.cells.get((dataset, column)) for column in self.columns]
 
+    def comparable(self, dataset: str) -> dict[Column, Value]:
+        """The values of a dataset that may be compared with each other.
+
+        Of several sweeps only those whose returns are counted as the logged behaviour's are, if
+        there are any.
+        """
+        row = zip(self.columns, self.row(dataset), strict=True)
+        found = {column: value for column, value in row if value is not None}
+        levelled = {column: v for column, v in found.items() if v.difference is not None}
+        return levelled or found
+
     def signs(self) -> list[str]:
         """What its columns and footnotes mean."""
         best = [_BEST_LEGEND] if any(column.point == "best" for column in self.columns) else []
@@ -125,6 +137,7 @@ def overview(
     logged: Mapping[str, float | None],
     thesis: Mapping[tuple[str, str], Thesis],
     footnotes: Mapping[str, str],
+    levels: Mapping[tuple[str, str], float | None] = MappingProxyType({}),
 ) -> Overview:
     """Make the overview of a table of results.
 
@@ -133,11 +146,13 @@ def overview(
         logged: Dataset -> mean return of its logged behaviour; None where it is not comparable.
         thesis: (dataset, algorithm) -> the thesis's value; only those that are comparable.
         footnotes: Sentences by the marks of the thesis's values.
+        levels: (dataset, algorithm) -> what stands for `logged` where that is not the same for all.
     """
     columns: dict[Column, None] = {}
     cells: dict[tuple[str, Column], Value] = {}
     for (dataset, algorithm), rows in table.groupby(["dataset", "algorithm"], sort=False):
-        name, level = str(dataset), logged.get(str(dataset))
+        name = str(dataset)
+        level = levels.get((name, str(algorithm)), logged.get(name))
         for point, row in _points(rows):
             columns.setdefault(Column(str(algorithm), point))
             value = float(row["tenth_percentile"])
@@ -150,14 +165,16 @@ def overview(
                 thesis.get((name, str(algorithm))),
             )
     names = [str(name) for name in table["dataset"].unique()]
-    for name in names:
-        _mark_best(cells, name)
-    return Overview(
-        sorted(columns, key=lambda c: [x.algorithm for x in columns].index(c.algorithm)),
+    order = [column.algorithm for column in columns]
+    made = Overview(
+        sorted(columns, key=lambda column: order.index(column.algorithm)),
         {name: logged.get(name) for name in names},
         cells,
         footnotes,
     )
+    for name in names:
+        _mark_best(cells, made.comparable(name))
+    return made
 
 
 def _points(rows: pd.DataFrame) -> Iterator[tuple[Point, Mapping[Hashable, Any]]]:
@@ -175,12 +192,11 @@ def _or_least(value: float) -> float:
     return value if math.isfinite(value) else -math.inf
 
 
-def _mark_best(cells: dict[tuple[str, Column], Value], dataset: str) -> None:
-    own = {key: cell for key, cell in cells.items() if key[0] == dataset}
-    values = [cell.value for cell in own.values() if math.isfinite(cell.value)]
-    for key, cell in own.items():
-        if values and cell.value == max(values):
-            cells[key] = Value(**{**cell.__dict__, "best": True})
+def _mark_best(cells: dict[tuple[str, Column], Value], row: Mapping[Column, Value]) -> None:
+    best = max((v.value for v in row.values() if math.isfinite(v.value)), default=math.nan)
+    for key, value in list(cells.items()):
+        if row.get(key[1]) is value and value.value == best:
+            cells[key] = replace(value, best=True)
 
 
 def shown(value: float, sign: bool = False) -> str:

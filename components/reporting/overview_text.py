@@ -1,5 +1,6 @@
 """The overview as aligned text for a terminal, as Markdown and as LaTeX."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -9,7 +10,7 @@ __all__ = ["latex_overview", "markdown_overview", "text_overview"]
 
 _GAP: Final = "  "
 _LINES: Final[dict[str, Callable[[Value], str]]] = {
-    "  to logged": lambda c: "" if c.difference is None else shown(c.difference, sign=True) + " ",
+    "  to logged": lambda c: _difference(c) + " " * bool(_difference(c)),
     "  at λ": lambda c: "" if c.proximity is None else f"{c.proximity:.2f} ",
     "  thesis": lambda c: (
         "" if c.thesis is None else shown(c.thesis.value) + (c.thesis.marks or " ")
@@ -64,6 +65,11 @@ def _lines(table: Overview) -> tuple[list[str], list[list[str]]]:
     return labels, rows
 
 
+def _difference(cell: Value) -> str:
+    known = cell.difference is not None and math.isfinite(cell.difference)
+    return shown(cell.difference or 0.0, sign=True) if known else ""
+
+
 def _value(cell: Value | None) -> str:
     return "" if cell is None else shown(cell.value) + ("*" if cell.best else " ")
 
@@ -100,7 +106,8 @@ def _markdown(cell: Value | None) -> str:
         return ""
     value = f"**{shown(cell.value)}**" if cell.best else shown(cell.value)
     place = "" if cell.proximity is None else f" at {cell.proximity:.2f}"
-    return value + place + ("" if cell.difference is None else f" ({shown(cell.difference, True)})")
+    difference = _difference(cell)
+    return value + place + (f" ({difference})" if difference else "")
 
 
 def latex_overview(table: Overview) -> str:

@@ -122,7 +122,7 @@ def _domains(evidence: Evidence) -> list[dict[str, Any]]:
         cells = [
             _gap(column, gaps.get((dataset, column.algorithm), "not part of it"))
             if value is None
-            else _shown_cell(column, value, level)
+            else _shown_cell(column, value)
             for column, value in row
         ]
         logged = "" if level is None else shown(level)
@@ -136,9 +136,12 @@ def _gap(column: Column, why: str) -> dict[str, Any]:
     return {"algorithm": column.algorithm, "value": None, "why": why}
 
 
-def _shown_cell(column: Column, value: Value, level: float | None) -> dict[str, Any]:
+def _shown_cell(column: Column, value: Value) -> dict[str, Any]:
     low, high = value.interval
-    surely = "" if level is None else "better" if low > level else "worse" if high < level else ""
+    surely = ""
+    if value.difference is not None:
+        level = value.value - value.difference
+        surely = "better" if low > level else "worse" if high < level else ""
     known = low == low
     interval = f"{shown(low)} … {shown(high)}" if known else "no interval"
     thesis = ""

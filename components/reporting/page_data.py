@@ -35,11 +35,12 @@ def page_data(evidence: Evidence, agreement: pd.DataFrame) -> dict[str, Any]:
         agreement: Its cells beside the thesis's.
     """
     tints = colours(evidence.algorithms)
+    cells = [cell for dataset in evidence.logs for cell in evidence.comparable_on(dataset)]
     return {
         "budget": evidence.budget,
         "algorithms": [{"name": name, "colour": tints[name]} for name in evidence.algorithms],
         "logs": [{"name": log.name, "level": plain(log.level)} for log in evidence.logs.values()],
-        "cells": [_cell(cell) for cell in evidence.cells.values()],
+        "cells": [_cell(cell) for cell in cells],
         "thesis": [plain(row) for row in agreement.to_dict("records")],
         "across": None if evidence.across is None else _across(evidence.across),
     }
@@ -68,6 +69,7 @@ def _cell(cell: Cell) -> dict[str, Any]:
         "dataset": cell.dataset,
         "algorithm": cell.algorithm,
         "adapts": cell.adapts,
+        "level": plain(cell.level),
         "steps": [int(step) for step in cell.steps],
         "proximities": plain(cell.proximities) if cell.adapts else [0.0],
         "mean": plain(cell.returns.mean(axis=0)),

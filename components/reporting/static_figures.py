@@ -18,7 +18,7 @@ __all__ = ["static_figures"]
 def static_figures(evidence: Evidence) -> Iterator[tuple[str, Figure]]:
     """The figures, each with the name of its file."""
     for dataset, log in evidence.logs.items():
-        cells = evidence.on(dataset)
+        cells = evidence.comparable_on(dataset)
         level = math.nan if log.level is None else log.level
         if cells:
             yield f"curves-{dataset}", _curves(evidence, dataset, cells, level)
@@ -46,7 +46,8 @@ def _curves(evidence: Evidence, dataset: str, cells: list[Cell], level: float) -
         axes.plot(x, mean, color=colour, linewidth=1.6)
         axes.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.15, linewidth=0)
         levels.append((float(mean[-1]), cell.algorithm + (" λ=1" if cell.adapts else ""), colour))
-        later += mean[len(mean) // 2 :].tolist()
+        late = slice(len(mean) // 2, None)
+        later += [*(mean - spread)[late].tolist(), *(mean + spread)[late].tolist()]
     axes.axhline(level, color=BEHAVIOUR_COLOUR, linestyle="--", linewidth=1.2)
     best = max((value for value, *_ in levels if math.isfinite(value)), default=math.nan)
     axes.set_ylim(limits([level, best], later))

@@ -39,15 +39,15 @@ def verdicts(evidence: Evidence) -> list[Verdict]:
 
 def _verdict(evidence: Evidence, dataset: str) -> Verdict:
     level = evidence.table.logged[dataset]
-    row = zip(evidence.table.columns, evidence.table.row(dataset), strict=True)
-    found = [(column, value) for column, value in row if value and math.isfinite(value.value)]
+    row = evidence.table.comparable(dataset)
+    found = [(column, value) for column, value in row.items() if math.isfinite(value.value)]
     if not evidence.on(dataset):
         return Verdict(dataset, "unknown", "Not finished yet", [])
     if not found:
         return Verdict(dataset, "unknown", "No result", ["No policy has a finite return."])
     column, best = max(found, key=lambda pair: pair[1].value)
     name = _named(column, best)
-    if level is None:
+    if level is None or best.difference is None:
         return Verdict(
             dataset,
             "unknown",
@@ -58,7 +58,8 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
             ],
         )
     judgement, headline = _judge(best, level)
-    gain = best.value - level
+    level = best.value - best.difference  # of the log of its own sweep
+    gain = best.difference
     sentences = [
         f"The best is {name}: nine in ten of its policies reach {shown(best.value)} or more, "
         f"{'above' if gain > 0 else 'against'} the {shown(level)} of what was logged"
@@ -66,7 +67,7 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
     ]
     sentences += _how_many(found, level)
     for cell in evidence.on(dataset):
-        if cell.adapts:
+        if cell.adapts and cell.algorithm in {column.algorithm for column in row}:
             sentences.append(_how_far(cell, level))
     return Verdict(dataset, judgement, headline, sentences)
 

@@ -104,12 +104,14 @@ def compare(cells: Iterable[Node]) -> Comparison:
             thesis[pair] = Thesis(*numbers[pair], marks, discounted)
         else:
             foreign.append(cell)
+    used = "".join(value.marks for value in thesis.values())
     footnotes = {
         _OTHER_DISCOUNT: "discounted with 0.99 in the thesis and with 0.97 here: the same policies "
         "have much lower returns there (README, Results).",
         _REDUCED: _reduced(own for pair, own in differences.items() if pair in thesis),
         _OTHER_LOG: "the thesis's robots were logged by other experts: a hint, no comparison.",
     }
+    footnotes = {mark: text for mark, text in footnotes.items() if mark in used}
     return Comparison(thesis, footnotes, differences, notes + _foreign_notes(foreign))
 
 

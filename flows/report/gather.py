@@ -63,7 +63,10 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
             f"sweep={','.join(names)}: no dataset and algorithm is finished with all seeds yet; "
             "give the sweep's own command to go on."
         )
-    logs = {name: log for part in reversed(parts) for name, log in part.logs.items()}
+    logs: dict[str, Log] = {}
+    for name, log in (item for part in parts for item in part.logs.items()):
+        if name not in logs or logs[name].level is None:
+            logs[name] = log
     thesis = {
         (cell.dataset, cell.algorithm): value
         for part in parts
@@ -71,12 +74,14 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         if (value := part.comparison.thesis.get((cell.dataset, cell.base))) is not None
     }
     footnotes: dict[str, str] = {}
-    for part in parts:
-        footnotes |= part.comparison.footnotes
+    for mark, text in (f for part in parts for f in part.comparison.footnotes.items()):
+        if text not in footnotes.setdefault(mark, text):
+            footnotes[mark] += f" And {text}"
     table = result_table(s for part in parts for s in part.summaries)
     gaps = [gap for part in parts for gap in part.gaps]
-    levels = {name: log.level for name, log in logs.items()}
-    rows = _with_gaps(overview(table, levels, thesis, footnotes), gaps, levels)
+    logged = {name: log.level for name, log in logs.items()}
+    levels = {(c.dataset, c.algorithm): c.level for part in parts for c in part.cells}
+    rows = _with_gaps(overview(table, logged, thesis, footnotes, levels), gaps, logged)
     cells = {(c.dataset, c.algorithm): c for part in parts for c in part.cells}
     unknown = {name: Log(name, "", None, None, "not generated yet") for name in rows.logged}
     shown = {name: logs.get(name, unknown[name]) for name in rows.logged}
@@ -135,6 +140,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
                 returns=np.stack([seed.returns for seed in seeds]),
                 pooled=pooled_snapshots(seeds, fraction),
                 points=summary["points"],
+                level=logs[summary["dataset"]].level,
             )
         )
         summaries.append(summary)

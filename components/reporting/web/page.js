@@ -20,8 +20,8 @@ function faded(colour, alpha) {
 
 function layout(title, more) {
   return Object.assign({
-    title: { text: title, font: { size: narrow() ? 12 : 15 }, x: 0, xanchor: "left", xref: "paper" },
-    margin: { l: 56, r: narrow() ? 8 : 16, t: 36, b: 44 }, showlegend: false, hovermode: "closest",
+    title: { text: narrow() ? title.replace(" · ", "<br>") : title, font: { size: narrow() ? 12 : 15 }, x: 0, xanchor: "left", xref: "paper" },
+    margin: { l: 56, r: narrow() ? 8 : 16, t: narrow() ? 50 : 36, b: 44 }, showlegend: false, hovermode: "closest",
     font: { family: "system-ui, Segoe UI, DejaVu Sans, sans-serif", size: 12, color: "#1d2430" },
     paper_bgcolor: "#fff", plot_bgcolor: "#fff",
   }, more);
@@ -71,7 +71,7 @@ function edgeNames(levels, [low, high], share, yref) {
   }));
 }
 // Room for these names.
-const named = () => ({ l: 56, r: narrow() ? 96 : 170, t: 36, b: 44 });
+const named = () => ({ l: 56, r: narrow() ? 96 : 170, t: narrow() ? 50 : 36, b: 44 });
 
 const across = (y, colour, dash, yref) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, yref, line: { color: colour, dash, width: 1.4 } });
 const nearest = (grid, value) => grid.reduce((best, x, n) => (Math.abs(x - value) < Math.abs(grid[best] - value) ? n : best), 0);
@@ -121,6 +121,7 @@ function drawLambda() {
     traces.push(...line(cell.algorithm, x, cell.points.map((p) => p.distance), null, { yaxis: "y2",
       hovertemplate: "λ %{x:.2f}: distance %{y:.2f}<extra>" + cell.algorithm + "</extra>" }));
     near.push(...side(-1), ...side(1));
+    levels.push({ name: cell.algorithm, y: last[last.length - 1], colour: colours[cell.algorithm] });
   }
   if (level !== null) { near.push(level); shapes.push(across(level, GREY, "dot", "y")); levels.push({ name: "logged", y: level, colour: GREY }); }
   const limits = range(near.length ? near : others, others);
@@ -139,13 +140,14 @@ function tabulateLambda() {
   const cells = DATA.cells.filter((c) => c.adapts && shown(c.algorithm));
   const cell = (tag, text, kind) => { const e = document.createElement(tag); e.textContent = text; if (kind) e.className = kind; return e; };
   const head = document.createElement("tr");
-  for (const text of ["dataset", "policy", "λ", "10th percentile", "to logged", "mean", "distance"]) head.append(cell("th", text));
+  for (const text of ["dataset", "policy"]) head.append(cell("th", text, "name"));
+  for (const text of ["λ", "10th percentile", "to logged", "mean", "distance"]) head.append(cell("th", text));
   table.tHead.replaceChildren(head);
   table.tBodies[0].replaceChildren(...cells.map((c) => {
-    const p = c.points[nearest(c.proximities, chosen.place)], level = logOf(c.dataset).level;
+    const p = c.points[nearest(c.proximities, chosen.place)], level = c.level;
     const apart = level === null || p.tenth_percentile === null ? null : p.tenth_percentile - level;
     const row = document.createElement("tr");
-    row.append(cell("td", c.dataset, "text"), cell("td", c.algorithm, "text"), cell("td", p.lambda.toFixed(2)), cell("td", fixed(p.tenth_percentile)),
+    row.append(cell("td", c.dataset, "name"), cell("td", c.algorithm, "name"), cell("td", p.lambda.toFixed(2)), cell("td", fixed(p.tenth_percentile)),
       cell("td", apart === null ? "" : (apart < 0 ? "" : "+") + apart.toFixed(1), apart === null ? "" : apart < 0 ? "worse" : "better"),
       cell("td", fixed(p.mean)), cell("td", p.distance === null ? "" : p.distance.toFixed(2)));
     return row;
@@ -171,13 +173,15 @@ function drawAcross() {
   if (!a) return;
   const kept = a.columns.map((c, n) => n).filter((n) => shown(a.columns[n].algorithm));
   const names = kept.map((n) => a.columns[n].name), tints = kept.map((n) => colours[a.columns[n].algorithm]);
-  const dots = (values, low, high, text) => ({ x: values, y: names, mode: "markers", marker: { color: tints, size: 10 }, type: "scatter",
-    error_x: low && { type: "data", symmetric: false, array: values.map((v, i) => high[i] - v), arrayminus: values.map((v, i) => v - low[i]), thickness: 1.5, color: GREY },
-    hovertemplate: text + "<extra></extra>" });
+  const dots = (rows, text) => ({
+    x: rows.map(([e]) => e[0]), y: rows.map((row) => row[1]), mode: "markers", type: "scatter", marker: { color: rows.map((row) => row[2]), size: 10 },
+    error_x: { type: "data", symmetric: false, array: rows.map(([e]) => (e[2] ?? e[0]) - e[0]), arrayminus: rows.map(([e]) => e[0] - (e[1] ?? e[0])), thickness: 1.5, color: GREY },
+    hovertemplate: text + "<extra></extra>",
+  });
   const tall = 110 + 26 * kept.length;
   const yaxis = axis("", { autorange: "reversed", type: "category" });
-  const m = kept.map((n) => a.middles[n]);
-  draw("figure-middles", [dots(m.map((e) => e[0]), m.map((e) => e[1] ?? e[0]), m.map((e) => e[2] ?? e[0]), "%{y}: %{x:.3f}")],
+  const sorted = kept.map((n, i) => [a.middles[n], names[i], tints[i]]).sort((one, other) => other[0][0] - one[0][0]);
+  draw("figure-middles", [dots(sorted, "%{y}: %{x:.3f}")],
     layout("Interquartile mean of scores · " + DATA.budget, { xaxis: axis("score"), yaxis }), tall);
   const profiles = kept.flatMap((n) => {
     const [value, low, high] = a.profiles[n], c = a.columns[n];
@@ -202,8 +206,8 @@ function drawAcross() {
   const first = ranks[order[0]], reach = first + a.ranks.critical;
   draw("figure-ranks", [{ x: order.map((i) => ranks[i]), y: order.map((i) => names[i]), mode: "markers", type: "scatter",
     marker: { size: 11, color: order.map((i) => tints[i]) }, hovertemplate: "%{y}: mean rank %{x:.2f}<extra></extra>" }],
-  layout("Mean ranks · " + DATA.budget, { xaxis: axis("mean rank (1 is best)"), yaxis, margin: { l: 56, r: 16, t: 50, b: 44 },
-    shapes: [{ type: "rect", x0: first, x1: reach, yref: "paper", y0: 0, y1: 1, fillcolor: "rgba(91,100,114,0.10)", line: { width: 0 }, layer: "below" }],
+  layout("Mean ranks · " + DATA.budget, { xaxis: axis("mean rank (1 is best)"), yaxis, margin: { l: 56, r: 16, t: narrow() ? 66 : 52, b: 44 },
+    shapes: [{ type: "rect", x0: first, x1: Math.min(reach, Math.max(...ranks) + 0.3), yref: "paper", y0: 0, y1: 1, fillcolor: "rgba(91,100,114,0.10)", line: { width: 0 }, layer: "below" }],
     annotations: [{ x: first, xanchor: "left", y: 1, yref: "paper", yanchor: "bottom", showarrow: false, text: "not told apart from the best", font: { size: 11, color: GREY } }] }), tall);
 }
 
