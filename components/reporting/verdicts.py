@@ -112,15 +112,16 @@ def _how_far(cell: Cell, level: float) -> str:
     above = [place for place, value in ordered if value >= level]
     if not above:
         return f"{cell.algorithm} stays below the log for every λ."
-    last = above[0]
+    first = last = above[0]
     for place, value in ordered:
-        if place >= last and value < level:
+        if place > first and value < level:
             break
         last = max(last, place)
-    if above[0] > 0.0:
-        return f"{cell.algorithm} is above the log for λ from {above[0]:.2f} to {last:.2f}."
+    if first > 0.0:
+        reach = (
+            f"for λ from {first:.2f} to {last:.2f}" if last > first else f"at λ {first:.2f} only"
+        )
+        return f"{cell.algorithm} is above the log {reach}."
     if last >= 1.0:
-        return f"{cell.algorithm} is above the log for every λ: the operator may go up to 1."
-    return (
-        f"{cell.algorithm} stays above the log up to λ {last:.2f}; the operator should stop there."
-    )
+        return f"{name} is above the log for every λ: the operator may go up to 1."
+    return f"{name} stays above the log up to λ {last:.2f}: the operator should stop there."

@@ -5,7 +5,7 @@ The thesis's budgets and protocol are those of the profile "paper". A cell is th
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
 
@@ -145,10 +145,17 @@ def _paper(datasets: frozenset[str], algorithms: frozenset[str]) -> dict[tuple[s
     names = sorted(algorithms & set(everything.algorithms))
     if not known or not names:
         return {}
+    seeds = everything.seeds
     words = [f"datasets=[{','.join(known)}]", f"algorithms=[{','.join(names)}]"]
-    plan = benchmark_plan(load_settings(["profile=paper", *words]))
+    # One seed is enough: all have the same settings.
+    plan = benchmark_plan(load_settings(["profile=paper", *words, f"seeds=[{seeds[0]}]"]))
     cells = plan.by_component().get("aggregation", [])
-    return {(c.config["dataset"], c.config["algorithm"]): c for c in cells}
+    return {
+        (c.config["dataset"], c.config["algorithm"]): replace(
+            c, config={**c.config, "seeds": list(seeds)}
+        )
+        for c in cells
+    }
 
 
 def _protocol(cell: Node) -> tuple[Any, ...]:
