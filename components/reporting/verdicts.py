@@ -117,11 +117,11 @@ def _how_far(cell: Cell, level: float) -> str:
         if place > first and value < level:
             break
         last = max(last, place)
+    name = cell.algorithm
+    if last == first:
+        return f"{name} is above the log at λ {first:.2f} only."
     if first > 0.0:
-        reach = (
-            f"for λ from {first:.2f} to {last:.2f}" if last > first else f"at λ {first:.2f} only"
-        )
-        return f"{cell.algorithm} is above the log {reach}."
+        return f"{name} is above the log for λ from {first:.2f} to {last:.2f}."
     if last >= 1.0:
         return f"{name} is above the log for every λ: the operator may go up to 1."
     return f"{name} stays above the log up to λ {last:.2f}: the operator should stop there."
