@@ -13,7 +13,8 @@ def policy_table(evidence: Evidence) -> pd.DataFrame:
 
     Returns:
         `dataset`, `algorithm`, `seed`, `updates` at the snapshot, `proximity` (NaN where the policy
-        takes none), `return` and whether the policy is `pooled`.
+        takes none), `return`, the return `logged` (NaN where that is counted otherwise), and
+        whether the policy is `pooled`.
     """
     return pd.concat([_rows(cell) for cell in evidence.cells.values()], ignore_index=True)
 
@@ -29,6 +30,7 @@ def _rows(cell: Cell) -> pd.DataFrame:
             "updates": cell.steps[snapshot],
             "proximity": cell.proximities[place],
             "return": cell.returns.ravel(),
+            "logged": np.nan if cell.level is None else cell.level,
             "pooled": snapshot >= snapshots - cell.pooled,
         }
     )

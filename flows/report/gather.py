@@ -1,5 +1,6 @@
 """Gathers what a report shows from a store: one sweep, or several beside each other."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -90,7 +91,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     notes = [note for part in parts for note in part.comparison.notes]
     data = {n.tags["dataset"]: n.key for part in parts for n in part.sweep.of("data_generation")}
     return Evidence(
-        sweeps={part.sweep.name: part.sweep.command for part in parts},
+        sweeps={part.sweep.name: _repeatable(part.sweep.command) for part in parts},
         logs=shown,
         cells=cells,
         gaps=gaps,
@@ -197,6 +198,12 @@ def _differences(parts: Sequence[_Part]) -> pd.DataFrame:
     columns = ["sweep", "part", "setting", "here", "paper profile", "datasets"]
     table = pd.DataFrame(rows, columns=columns)
     return table if len(parts) > 1 else table.drop(columns="sweep")
+
+
+def _repeatable(command: str) -> str:
+    """A command without what changes no result: where its runs lie and how they are run."""
+    words = shlex.split(command)
+    return shlex.join(w for w in words if not w.startswith(("store=", "runner.")))
 
 
 def _budget(parts: Sequence[_Part]) -> str:

@@ -43,7 +43,7 @@ def test_all_formats_are_made_of_the_store_alone(
     assert sorted(smoke.store.rglob("*")) == before, "nothing is written there"
     assert "15 of 15 cells are finished." in capsys.readouterr().out
     names = {path.name for path in out.iterdir()}
-    assert names == {"report.html", "report.md", "report.tex", "policies.parquet"}
+    assert names == {"report.html", "report.md", "report.tex", "policies.parquet", "about.json"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "What it cost" in page
     assert "No value of the thesis stands beside returns of 20 steps" in page
@@ -95,6 +95,7 @@ def test_two_sweeps_stand_beside_each_other(smoke: SmokeRun, tmp_path: Path) -> 
     found = gather(ArtifactStore(store, create=False), ["smoke", "again"])
     assert found.algorithms[:2] == ["bc · smoke", "bcq · smoke"]
     assert len(found.cells) == 30
+    assert found.sweeps["smoke"] == "python -m flows.full_benchmark profile=smoke sweep=smoke"
     assert found.sweeps["again"] == "python -m again"
 
 
