@@ -1,5 +1,6 @@
 """The report of a sweep: table and figures of everything that is finished."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,13 +105,14 @@ class Report:
         return f"{markdown_overview(self.overview)}{signs}\n{markdown_table(self.table)}"
 
 
-def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
+def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = "") -> Report:
     """Write table and figures of everything that is finished.
 
     Args:
         folder: Made if needed.
         plan: Of the sweep.
         store: With its artifacts.
+        about: Profile and seeds, for the titles of figures.
 
     Raises:
         DamagedFileError: A file that the report is made of is missing or damaged.
@@ -126,7 +128,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     table, comparison = result_table(summaries), compare(aggregations)
     logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
-    files += _write_figures(folder, cards, _drawn(aggregations, summaries))
+    files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)
     report = Report(
         files,
         table,
@@ -177,13 +179,16 @@ def _drawn(
 
 
 def _write_figures(
-    folder: Path, cards: Sequence[DatasetCard], drawn: Sequence[dict[str, Any]]
+    folder: Path,
+    logged: Mapping[str, float | None],
+    drawn: Sequence[dict[str, Any]],
+    about: str,
 ) -> list[Path]:
     files = []
-    for card in cards:
-        own = [summary for summary in drawn if summary["dataset"] == card.name]
-        figure = proximity_figure(card.name, own, card.first_window_return_mean)
+    for name, level in logged.items():
+        own = [summary for summary in drawn if summary["dataset"] == name]
+        figure = proximity_figure(name, own, math.nan if level is None else level, about)
         if figure is not None:
-            files.append(folder / f"{card.name}.png")
+            files.append(folder / f"{name}.png")
             save_figure(figure, files[-1])
     return files

@@ -43,7 +43,8 @@ def finish(store: ArtifactStore, node: Node, files: dict[str, Any]) -> None:
 def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan, store = benchmark_plan(load_settings(WORDS)), ArtifactStore(tmp_path)
+    words = [*WORDS, "evaluation.horizon=100"]
+    plan, store = benchmark_plan(load_settings(words)), ArtifactStore(tmp_path)
     for number, node in enumerate(plan):
         if node.component == "data_generation":
             finish(store, node, {"dataset/card.json": {"first_window_return_mean": -2.0}})
@@ -60,13 +61,13 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
 
     drawn, behaviour = [], []
 
-    def draw(name: str, summaries: list[dict[str, Any]], mean: float) -> None:
+    def draw(name: str, summaries: list[dict[str, Any]], mean: float, about: str) -> None:
         drawn.extend(summaries)
-        behaviour.append((name, mean))
+        behaviour.append((name, mean, about))
 
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     monkeypatch.setattr(report, "proximity_figure", draw)
-    written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
+    written = report.write_report(tmp_path / "reports" / "sweep", plan, store, "one seed")
     [table, _] = written.files
     labels = ["mopo-penalty-0", "mopo-penalty-2.5", "lion"]
     assert written.table["algorithm"].tolist() == labels
@@ -76,7 +77,9 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     assert [row["algorithm"] for row in read] == labels
     assert len({row["mean"] for row in read}) == 3
     assert [summary["algorithm"] for summary in drawn] == ["lion"]
-    assert behaviour == [("mediocre-0.2", -2.0)]  # the first windows' mean, as policies are judged
+    assert behaviour == [
+        ("mediocre-0.2", -2.0, "one seed")
+    ]  # the first windows' mean, as policies are judged
     assert [s["algorithm"] for s in open_report(tmp_path, "sweep").summaries] == labels
 
 
