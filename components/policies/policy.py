@@ -135,17 +135,18 @@ class Policy:
         return KINDS[self.card.kind](self.networks, x, noise, self.card.perturbation)
 
     @torch.no_grad()
-    def values(self, histories: Tensor, actions: Tensor) -> Tensor:
+    def values(self, histories: Tensor, actions: Tensor, proximity: Tensor | None = None) -> Tensor:
         """What the critic of policies that choose among candidates thinks of other actions.
 
         Args:
             histories: ``[P, B, H, F]`` raw frames, newest first.
             actions: ``[P, B, A]`` in [-1, 1].
+            proximity: As in :meth:`act`.
 
         Returns:
             ``[P, B]``.
         """
-        return critic_values(self.networks, self._observed(histories, None), actions)
+        return critic_values(self.networks, self._observed(histories, proximity), actions)
 
     def save(self, folder: Path) -> None:
         """Write the artifact into an existing folder; ``policy.json`` appears last.
