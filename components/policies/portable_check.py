@@ -1,9 +1,9 @@
 """Whether a file acts as the policy that it was made from, on recorded states.
 
-The original and the file compute the same sums of float32 numbers in another order, so their actions
-differ in the last digits: by some 1e-7 of an action's range for networks whose inputs are scaled. A
-file may differ by `TOLERANCE`, which is a hundred times that and far below what moves a machine. An
-action in the units of a plant is moreover rounded to float32 there.
+The original and the file compute the same sums of float32 numbers in another order, so their
+actions differ in the last digits: by some 1e-7 of half an action's range, as measured on all
+algorithms. A file may differ by `TOLERANCE`, which leaves room for larger networks and is far below
+what moves a machine. An action in the units of a plant is moreover rounded to float32 there.
 
 Policies that choose among candidates jump where two candidates are equally good: there the last
 digits decide. Where the file chose another candidate, the original's critic must find it as good,
@@ -12,6 +12,7 @@ up to `TOLERANCE` of its value, and the state is counted as a tie.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -124,7 +125,7 @@ def compare(
 
 def _batches(number: int) -> list[tuple[int, int]]:
     edges = [0, *range(1, number, _BATCH), number]
-    return list(zip(edges, edges[1:], strict=False))
+    return list(pairwise(edges))
 
 
 def _differences(
