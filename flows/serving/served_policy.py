@@ -14,6 +14,9 @@ import onnxruntime
 class ServedPolicy(mlflow.pyfunc.PythonModel):
     """Acts as the file `policy.onnx` beside it, whose card says what goes in and what comes out."""
 
+    # Each of these models has a signature; MLflow asks for type hints to guess one from.
+    _skip_type_hint_validation = True
+
     def load_context(self, context):
         """Open the file.
 
