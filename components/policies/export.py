@@ -20,6 +20,7 @@ from components.policies.policy import Policy
 from components.policies.portable import BATCH, Plant, input_shapes
 from components.policies.portable_check import (
     PROXIMITIES,
+    ROUNDINGS,
     TOLERANCE,
     Checked,
     States,
@@ -100,7 +101,12 @@ def portable_card(
     inputs["history"]["features"] = list(card.features)
     if "proximity" in inputs:
         inputs["proximity"]["range"] = [0.0, 1.0]
-    check: dict[str, Any] = {"states": len(states.histories), "source": states.source}
+    check: dict[str, Any] = {
+        "states": len(states.histories),
+        "source": states.source,
+        "tolerance": TOLERANCE,
+        "of": f"half an action's range, or {ROUNDINGS:g} times the policy's own rounding errors",
+    }
     if card.takes_proximity:
         check["proximities"] = list(PROXIMITIES)
     return {
@@ -119,7 +125,7 @@ def portable_card(
             "units": "of the plant" if plant.bounds else "scaled to [-1, 1]",
         },
         "sampling": plant.sampling or None,  # seconds, or in the unit of the log's own time
-        "check": {**check, "tolerance": TOLERANCE, "of": "half an action's range"},
+        "check": check,
         "log_digest": plant.log_digest or None,
         "weights_digest": _digest(policy),
         "versions": {

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from components.policies.portable_check import TOLERANCE, States, compare, drawn
 from components.policies.portable_files import FORMATS
 from tests.components.policies.test_deployment import NOISE, Parts
 from tests.components.synthetic import make_log
+from tests.conftest import ROOT
 from tests.walled import run_walled
 
 LOG = make_log()
@@ -121,6 +123,12 @@ except ModuleNotFoundError:
     sys.exit(0)
 sys.exit("there is a torch")
 """
+RUN_RECIPE = """
+import os
+os.chdir(os.path.dirname(sys.argv[1]))
+exec(open(sys.argv[2]).read())
+np.save(sys.argv[3], [act(frame, 0.3) for frame in np.load("frames.npy")])
+"""
 RUN_PT2 = """
 import numpy as np, torch
 extra = {"card.json": ""}
@@ -141,6 +149,20 @@ def test_onnx_needs_onnx_runtime_alone(kind: str, tmp_path: Path) -> None:
     card = run_walled(RUN_ONNX, path, tmp_path / "inputs.npz", out, allowed=RUNTIME)
     assert_close(np.load(out), expected(policy, inputs))
     assert set(json.loads(card)["inputs"]) == set(inputs)
+
+
+@pytest.mark.slow(3)
+def test_the_recipe_of_the_page_runs_in_ten_lines(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+    [recipe] = re.findall(r"```python\n(import json.*?)```", page, re.DOTALL)
+    assert len([line for line in recipe.splitlines() if line]) <= 10
+    (tmp_path / "recipe.py").write_text(recipe, encoding="utf-8")
+    policy = policy_of("steered")
+    path, out = exported(policy, tmp_path / "policy.onnx"), tmp_path / "actions.npy"
+    np.save(tmp_path / "frames.npy", LOG.frames[:5])
+    run_walled(RUN_RECIPE, path, tmp_path / "recipe.py", out, allowed=RUNTIME)
+    inputs = {"history": STATES.histories[:5], "proximity": np.full(5, 0.3, np.float32)}
+    assert_close(np.load(out), expected(policy, inputs))  # an episode of the log from its start
 
 
 @pytest.mark.slow(5)
@@ -208,8 +230,27 @@ def test_the_tolerance_is_a_share_of_each_action_s_range() -> None:
         return lambda inputs: (expected(policy, inputs) + share * reach).astype(np.float32)
 
     assert compare(policy, PLANT, off(0.5 * TOLERANCE), STATES).difference < TOLERANCE
-    with pytest.raises(ValueError, match=r"by 3.*e-05 of half an action's range, and 1e-05 is"):
+    with pytest.raises(ValueError, match=r"by 3.*e-05 of half an action's range, and 1.0e-05 is"):
         compare(policy, PLANT, off(3.5 * TOLERANCE), STATES)
+
+
+def test_a_sharp_policy_may_differ_by_its_own_rounding_but_not_without_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    like, reach = policy_of("tanh"), np.diff(PLANT.limits).T / 2
+    *inner, (weight, bias) = like.layers
+    last = 1000 * weight, 1000 * bias
+    sharp = Policy.of_networks(like.card, {"actor": [*inner, last]}, like.frames)
+
+    def allowed(policy: Policy, share: float) -> float:
+        return compare(policy, PLANT, lambda i: expected(policy, i) + share * reach, STATES).allowed
+
+    assert allowed(like, 0.0) == TOLERANCE
+    assert 2 * TOLERANCE < allowed(sharp, 2 * TOLERANCE) < portable_check.LIMIT
+    with pytest.raises(ValueError, match=r"by 2\.0e-02 of half an action's range, and .*e-04 is"):
+        allowed(sharp, 2 * portable_check.LIMIT)
+    monkeypatch.setattr(portable_check, "LIMIT", 1e-4)
+    assert allowed(sharp, 0.0) == 1e-4
 
 
 def test_proximities_are_checked_over_their_range() -> None:
