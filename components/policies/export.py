@@ -7,6 +7,7 @@ goes in and what comes out. It appears under its name after it has been compared
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -44,13 +45,19 @@ def check_target(path: Path, *, overwrite: bool = False) -> None:
     """Refuse a file that could not be written, before anything is computed.
 
     Raises:
-        ValueError: Its name has another ending, packages are missing, or there is a file already.
+        ValueError: Its name has another ending, packages are missing, there is a file already, or
+            its folder cannot be written.
     """
     format_of(path)
     if path.is_dir():
         raise ValueError(f"{path} is a folder; name a file.")
     if path.exists() and not overwrite:
         raise ValueError(f"{path} exists; name another file, or overwrite it with overwrite=true.")
+    nearest = next(place for place in path.absolute().parents if place.exists())
+    if not nearest.is_dir():
+        raise ValueError(f"{path}: {nearest} is a file; name a file in a folder.")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise ValueError(f"{path}: {nearest} may not be written; name a file elsewhere.")
 
 
 def export_policy(

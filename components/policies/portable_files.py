@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -100,8 +101,10 @@ def _read_onnx(path: Path) -> Run:
 
 def _write_pt2(policy: Policy, plant: Plant, card: str, path: Path) -> None:
     program, _ = traced(policy, plant)
+    content = BytesIO()  # PyTorch would hide why a file cannot be written
     with _quiet():
-        torch.export.save(program, path, extra_files={CARD: card})
+        torch.export.save(program, content, extra_files={CARD: card})
+    path.write_bytes(content.getvalue())
 
 
 def _read_pt2(path: Path) -> Run:

@@ -296,6 +296,7 @@ def test_another_candidate_must_be_as_good_to_the_critic(kind: str) -> None:
         ("policy", r"policy must end in"),
         ("there.onnx", r"there\.onnx exists; name another file, or overwrite it"),
         ("folder.pt2", r"folder\.pt2 is a folder; name a file"),
+        ("there.onnx/new/a.pt2", r"there\.onnx is a file; name a file in a folder"),
     ],
 )
 def test_targets_that_cannot_be_are_refused(name: str, reason: str, tmp_path: Path) -> None:
