@@ -7,6 +7,7 @@ from components.algorithms import ALGORITHMS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
 from flows.planning.costs import data_sizes
+from flows.planning.judging import is_judged, judge_models, judgement_node, part_node
 from flows.planning.model_choice import ModelChoice, choose_models
 from flows.planning.nodes import (
     aggregation_node,
@@ -32,7 +33,10 @@ def data_plan(settings: Settings) -> Plan:
 
 def _needed_models(settings: Settings) -> list[str]:
     needed = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
-    return sorted(needed | {"behaviour_policy"})  # distances are measured to it
+    needed |= {"behaviour_policy"}  # distances are measured to it
+    if any(is_judged(settings, dataset) for dataset in settings.datasets):
+        needed |= {"recurrent_ensemble"}
+    return sorted(needed)
 
 
 def model_choice(settings: Settings) -> ModelChoice:
@@ -66,6 +70,10 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
     nodes = []
     for dataset in settings.datasets:
         data = data_node(settings, dataset)
+        judged = is_judged(settings, dataset)
+        if judged:
+            judges = judge_models(settings, data, choice.configs)
+            data = part_node(settings, data, "train")
         sizes = data_sizes(settings.dataset[dataset])
         own = settings.models.per_seed
         seeds = settings.seeds if own else (0,)
@@ -98,6 +106,11 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
                             for_algorithm=algorithm,
                         )
                     policies[seed] = policy_node(settings, variant, dataset, seed, inputs)
+                if judged:
+                    nodes += [
+                        judgement_node(settings, policy, variant.config, judges)
+                        for policy in policies.values()
+                    ]
                 if settings.dataset[dataset].environment is None:
                     nodes += policies.values()  # there is no system to evaluate them on
                     continue
