@@ -23,6 +23,7 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 __all__ = [
+    "DEFAULT_SCORE",
     "ESTIMATES",
     "HARM",
     "SCORES",
@@ -82,6 +83,10 @@ SCORES: Final[Mapping[str, Score]] = MappingProxyType(
 - ``closeness``, ``support``: nothing but nearness to the behaviour policy, or to the log. They are
   controls: they know no reward.
 """
+
+
+DEFAULT_SCORE: Final = "least_of_both"
+"""Chosen by its regret over the datasets that have a system, see docs/judging.md."""
 
 
 def scored(table: pd.DataFrame) -> pd.DataFrame:

@@ -73,9 +73,10 @@ class FittedQ:
         self._optimizer = adam(list(self.critic.parameters()), config.learning_rate)
         draw = Integers([len(rows)] * self._replicas, config.batch)
         self._streams = LaneStreams(keys, {"row": draw}, data.device)
-        rewards = data.batch(rows.expand(self._replicas, -1)).rewards[0].double()
-        ends = not bool(data.batch(rows.expand(self._replicas, -1)).continues.all())
-        self._mean = 0.0 if ends else float(rewards.mean())
+        logged = data.batch(rows.expand(self._replicas, -1))
+        rewards = logged.rewards[0].double()
+        self._ends = not bool(logged.continues.all())
+        self._mean = 0.0 if self._ends else float(rewards.mean())
         self._scale = float(rewards.std(correction=0)) or 1.0
 
     def branch(self, step: int) -> str:
@@ -115,8 +116,8 @@ class FittedQ:
     def values(self, observations: Tensor, actions: Tensor, horizon: int) -> Tensor:
         """Discounted returns over a horizon, ``[R, Q, B]``.
 
-        Critics know no horizon; the part of an endless sum of equal rewards that lies within is
-        taken.
+        Critics know no horizon. Where nothing ends by itself, the part of an endless sum of equal
+        rewards that lies within it is taken; elsewhere the values are left as they are.
 
         Args:
             observations: ``[R, B, O]`` scaled start states, equal for all replicas.
@@ -125,10 +126,12 @@ class FittedQ:
         """
         shape = (self._replicas, *actions.shape)
         found = self._value(self.critic, observations, actions.expand(shape))
-        endless = self._discount == 1.0
-        constant = horizon if endless else 1.0 / (1.0 - self._discount)
-        within = 1.0 if endless else 1.0 - math.pow(self._discount, horizon)
-        return (found * self._scale + self._mean * constant) * within
+        if self._ends:
+            return found * self._scale
+        if self._discount == 1.0:
+            return found * self._scale + self._mean * horizon
+        within = 1.0 - math.pow(self._discount, horizon)
+        return (found * self._scale + self._mean / (1.0 - self._discount)) * within
 
     def _value(self, critic: StackedMLP, observations: Tensor, actions: Tensor) -> Tensor:
         """``[R, Q, B]`` of observations ``[R, B, O]`` and actions ``[R, Q, B, A]``."""

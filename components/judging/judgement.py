@@ -4,7 +4,8 @@
   the policies, with its standard error; ``model_least``: by the member that gives the least.
 - ``fitted_q``: value by fitted critics, with the standard error over replicas and start states.
 - ``distance``: mean Euclidean distance to the behaviour policy's action in logged states.
-- ``outside``: share of the steps in the ensemble that lie outside the log's support.
+- ``outside``: share of the steps in the ensemble that lie outside the log's support; without an
+  ensemble, of its actions in logged states.
 - ``promised``: gain over the behaviour policy in the ensemble that the policy was trained in, where
   there is one: what training believes. It is no judge, since the policy was chosen by it.
 """
@@ -38,7 +39,7 @@ _BLOCK = 4096  # states of the log in which policies act together
 
 @dataclass(frozen=True)
 class Judgement:
-    """Estimates of Q policies, ``[Q]`` each; NaN where there is none."""
+    """Estimates of Q policies, ``[Q]`` each; NaN where there is no ensemble to make them."""
 
     model: NDArray[np.float64]
     model_error: NDArray[np.float64]
@@ -56,7 +57,7 @@ class Judgement:
 
 def judge(
     dataset: OfflineDataset,
-    ensemble: RecurrentEnsemble,
+    ensemble: RecurrentEnsemble | None,
     behaviour: Policy,
     judged: Sequence[JudgedPolicies],
     trained_in: Sequence[RecurrentEnsemble | None],
@@ -73,7 +74,7 @@ def judge(
 
     Args:
         dataset: The part of the log that they have not learned from.
-        ensemble: Fitted to this part.
+        ensemble: Fitted to this part; None: there is none, and no estimate by a model.
         behaviour: Cloned from this part.
         judged: Stacks of policies.
         trained_in: For each stack, the ensemble that it was trained in; None if in none.
@@ -89,7 +90,7 @@ def judge(
     judged = [JudgedPolicies(j.policy.to(device), j.proximities) for j in judged]
     world = VirtualWorld(dataset, config, device)
     support = Support(dataset, config.neighbours, config.quantile)
-    values = [world.values(ensemble, one) for one in judged]
+    values = [world.values(ensemble, one) if ensemble else None for one in judged]
     usual = JudgedPolicies.of(behaviour.to(device), ())
     promised = [
         torch.full((one.count,), torch.nan)
@@ -97,17 +98,30 @@ def judge(
         else world.values(own, one).mean - world.values(own, usual).mean
         for own, one in zip(trained_in, judged, strict=True)
     ]
-    outside = [support.outside(found.visited.numpy()) for found in values]
-    distances = [_distances(world, dataset, usual.policy, one) for one in judged]
+    logged = [_Logged.of(world, dataset, one) for one in judged]
+    visited = [
+        own.pairs if found is None else found.visited
+        for found, own in zip(values, logged, strict=True)
+    ]
+    distances = [own.distances(usual.policy) for own in logged]
+
+    def of_model(name: str) -> NDArray[np.float64]:
+        return _joined(
+            [
+                torch.full((one.count,), torch.nan) if found is None else getattr(found, name)
+                for found, one in zip(values, judged, strict=True)
+            ]
+        )
+
     fitted = _fitted(dataset, world, judged, config, device, names, checkpoint, progress)
     whole = Judgement(
-        model=_joined([found.mean for found in values]),
-        model_error=_joined([found.error for found in values]),
-        model_least=_joined([found.least for found in values]),
+        model=of_model("mean"),
+        model_error=of_model("error"),
+        model_least=of_model("least"),
         fitted_q=_joined([fitted.mean(dim=(0, 2))]),
         fitted_q_error=_joined([_error(fitted)]),
         distance=_joined(distances),
-        outside=np.concatenate(outside),
+        outside=np.concatenate([support.outside(pairs.numpy()) for pairs in visited]),
         promised=_joined(promised),
     )
     ends = np.cumsum([one.count for one in judged])
@@ -117,16 +131,35 @@ def judge(
     ]
 
 
-def _distances(
-    world: VirtualWorld, dataset: OfflineDataset, behaviour: Policy, judged: JudgedPolicies
-) -> Tensor:
-    """Mean distance to the behaviour policy in logged states, ``[Q]``."""
-    rows = torch.from_numpy(spread_rows(np.arange(dataset.transitions), _LOGGED))
-    seen = world.histories(rows.to(world.device))
-    usual = behaviour.act(seen[None])
-    actions = judged.act_at(seen, lane_key(dataset.card.name, "judge", "logged"))
-    distance: Tensor = torch.linalg.vector_norm(actions - usual, dim=-1).mean(dim=1)
-    return distance
+@dataclass(frozen=True)
+class _Logged:
+    """What Q policies do in logged states.
+
+    Attributes:
+        histories: ``[V, H, F]``.
+        actions: ``[Q, V, A]``.
+    """
+
+    histories: Tensor
+    actions: Tensor
+
+    @classmethod
+    def of(cls, world: VirtualWorld, dataset: OfflineDataset, judged: JudgedPolicies) -> "_Logged":
+        rows = torch.from_numpy(spread_rows(np.arange(dataset.transitions), _LOGGED))
+        seen = world.histories(rows.to(world.device))
+        return cls(seen, judged.act_at(seen, lane_key(dataset.card.name, "judge", "logged")))
+
+    @property
+    def pairs(self) -> Tensor:
+        """The newest frames with the actions, ``[Q, V, F + A]``."""
+        newest = self.histories[:, 0].expand(len(self.actions), -1, -1)
+        return torch.cat([newest, self.actions], dim=-1).cpu()
+
+    def distances(self, behaviour: Policy) -> Tensor:
+        """Mean distance to the behaviour policy, ``[Q]``."""
+        apart = self.actions - behaviour.act(self.histories[None])
+        distance: Tensor = torch.linalg.vector_norm(apart, dim=-1).mean(dim=1)
+        return distance
 
 
 def _fitted(

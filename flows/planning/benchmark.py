@@ -7,7 +7,13 @@ from components.algorithms import ALGORITHMS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
 from flows.planning.costs import data_sizes
-from flows.planning.judging import is_judged, judge_models, judgement_node, part_node
+from flows.planning.judging import (
+    JUDGE_MODELS,
+    is_judged,
+    judge_models,
+    judgement_node,
+    part_node,
+)
 from flows.planning.model_choice import ModelChoice, choose_models
 from flows.planning.nodes import (
     aggregation_node,
@@ -31,12 +37,10 @@ def data_plan(settings: Settings) -> Plan:
     return Plan([data_node(settings, name) for name in settings.datasets])
 
 
-def _needed_models(settings: Settings) -> list[str]:
-    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
-    needed |= {"behaviour_policy"}  # distances are measured to it
-    if any(is_judged(settings, dataset) for dataset in settings.datasets):
-        needed |= {"recurrent_ensemble"}
-    return sorted(needed)
+def _needed_models(settings: Settings) -> set[str]:
+    """Those of the algorithms, and the one to which distances are measured."""
+    needs = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
+    return needs | {"behaviour_policy"}
 
 
 def model_choice(settings: Settings) -> ModelChoice:
@@ -46,7 +50,10 @@ def model_choice(settings: Settings) -> ModelChoice:
         SettingsError: Tuned ones are asked for and cannot be had.
     """
     data = {name: data_node(settings, name) for name in settings.datasets}
-    return choose_models(settings, _needed_models(settings), data)
+    models = _needed_models(settings)
+    if any(is_judged(settings, dataset) for dataset in settings.datasets):
+        models |= set(JUDGE_MODELS)
+    return choose_models(settings, models, data)
 
 
 def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
@@ -63,8 +70,9 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
             damaged.
     """
     choice = choice or model_choice(settings)
-    for (dataset, _), config in choice.configs.items():
-        check_model(settings, dataset, config)
+    for (dataset, name), config in choice.configs.items():
+        if name in _needed_models(settings):  # judges do without those that do not suit
+            check_model(settings, dataset, config)
     for dataset, name in product(settings.datasets, settings.algorithms):
         check_algorithm(settings, dataset, name)
     nodes = []

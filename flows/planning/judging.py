@@ -7,15 +7,23 @@ from typing import Any, Literal
 from components.algorithms import ALGORITHMS
 from components.data.sizes import weights
 from components.data.sources.stored_log import StoredLog
-from flows.configuration.settings import Settings
+from flows.configuration.settings import Settings, SettingsError
 from flows.pipeline.plan import Node
 from flows.planning.costs import data_sizes
 from flows.planning.nodes import jsonable, model_node
+from flows.planning.sizes import check_model
 
-__all__ = ["LEAST_EPISODES", "is_judged", "judge_models", "judgement_node", "part_node"]
+__all__ = [
+    "JUDGE_MODELS",
+    "LEAST_EPISODES",
+    "is_judged",
+    "judge_models",
+    "judgement_node",
+    "part_node",
+]
 
-_MODELS = ("behaviour_policy", "recurrent_ensemble")
-"""What is fitted to the judges' part of a log."""
+JUDGE_MODELS = ("behaviour_policy", "recurrent_ensemble")
+"""What is fitted to the judges' part of a log; an ensemble only where the log suits it."""
 
 _CRITIC, _ACTION = 2e-10, 6e-11
 """Core-seconds of a weight in an update of critics, for each transition, and when a policy acts."""
@@ -60,11 +68,22 @@ def judge_models(
     dataset = whole.tags["dataset"]
     part, sizes = part_node(settings, whole, "judge"), data_sizes(settings.dataset[dataset])
     models = {
-        name: model_node(name, configs[dataset, name], dataset, part, sizes) for name in _MODELS
+        name: model_node(name, configs[dataset, name], dataset, part, sizes)
+        for name in JUDGE_MODELS
+        if _suits(settings, dataset, configs[dataset, name])
     }
     return {"dataset": part} | {
         name: replace(node, name=f"{node.name}/judge") for name, node in models.items()
     }
+
+
+def _suits(settings: Settings, dataset: str, config: Any) -> bool:
+    """Whether a log's episodes are long enough for a model, and its card tells what that needs."""
+    try:
+        check_model(settings, dataset, config)
+    except SettingsError:
+        return False
+    return True
 
 
 def judgement_node(

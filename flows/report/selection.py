@@ -1,17 +1,22 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from components.aggregation.selection import ESTIMATES
+from components.aggregation.selection import DEFAULT_SCORE, ESTIMATES, SCORES, scored
+from components.core.files import write_text
+from components.reporting.ranking import markdown
+from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.tasks.judging import JUDGEMENT
 
-__all__ = ["judged_policies"]
+__all__ = ["NOTHING_JUDGED", "Selection", "judged_policies", "write_selection"]
 
 _COLUMNS: Final = (
     "model",
@@ -23,6 +28,83 @@ _COLUMNS: Final = (
     "outside",
     "promised",
 )
+
+_QUALITIES: Final = {
+    "spearman": 2,
+    "regret_1": 1,
+    "regret_5": 1,
+    "relative_regret_1": 2,
+    "caught": 2,
+    "exploits_caught": 2,
+    "cleared": 2,
+}
+"""Columns of the table of judges that are printed, and their decimals."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was written about judged policies.
+
+    Attributes:
+        files: Tables as CSV.
+        lines: What to print.
+        datasets: Names of those whose policies were judged.
+    """
+
+    files: Sequence[Path] = ()
+    lines: Sequence[str] = ()
+    datasets: frozenset[str] = frozenset()
+
+
+NOTHING_JUDGED: Final = Selection()
+
+
+def write_selection(
+    folder: Path,
+    plan: Plan,
+    done: Sequence[Node],
+    store: ArtifactStore,
+    behaviour_returns: Mapping[str, float],
+) -> Selection:
+    """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
+
+    Args:
+        folder: Of the report.
+        plan: Of the sweep.
+        done: Its finished nodes.
+        store: With their artifacts.
+        behaviour_returns: Mean return of the controller that logged each dataset.
+
+    Raises:
+        DamagedFileError: A judgement is missing or damaged.
+    """
+    policies = judged_policies(plan, done, store)
+    if policies.empty:
+        return NOTHING_JUDGED
+    policies = scored(policies)
+    table = selection_table(policies, DEFAULT_SCORE)
+    written = {"judgements": policies, "selection": table}
+    lines = [
+        "",
+        f"Judged from the log alone, best first by {DEFAULT_SCORE} (gain over the behaviour "
+        "policy; docs/judging.md):",
+        "",
+        *selection_markdown(table).splitlines(),
+    ]
+    judges = judge_table(policies, behaviour_returns)
+    if not judges.empty:
+        written["judges"] = judges
+        means = judges.groupby("score", sort=False)[list(_QUALITIES)].mean().loc[list(SCORES)]
+        lines += [
+            "",
+            f"How well judges rank, mean of {judges['dataset'].nunique()} datasets:",
+            "",
+            *markdown(means.reset_index(), _QUALITIES).splitlines(),
+        ]
+    files = [folder / f"{name}.csv" for name in written]
+    for path, content in zip(files, written.values(), strict=True):
+        write_text(path, content.to_csv(index=False, lineterminator="\n"))
+    return Selection(files, lines, frozenset(policies["dataset"]))
 
 
 def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:

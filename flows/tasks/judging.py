@@ -38,15 +38,10 @@ def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
     behaviour = read_input(first, "behaviour_policy", Policy.load, "model")
     reference = JudgedPolicies.of(behaviour, ())
     judged = [_judged(job, config) for job in jobs]
-    own = [
-        read_input(job, "trained_in", RecurrentEnsemble.load, "model")
-        if "trained_in" in job.inputs
-        else None
-        for job in jobs
-    ]
+    own = [_ensemble(job, "trained_in") for job in jobs]
     usual, *found = judge(
         open_dataset(first),
-        read_input(first, "recurrent_ensemble", RecurrentEnsemble.load, "model"),
+        _ensemble(first, "recurrent_ensemble"),
         behaviour,
         [reference, *judged],
         [None, *own],
@@ -58,6 +53,13 @@ def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
     )
     for job, one, judgement in zip(jobs, judged, found, strict=True):
         _write(job, one, judgement, usual)
+
+
+def _ensemble(job: Job, role: str) -> RecurrentEnsemble | None:
+    """The ensemble of a role, if the job has one."""
+    if role not in job.inputs:
+        return None
+    return read_input(job, role, RecurrentEnsemble.load, "model")
 
 
 def _judged(job: Job, config: JudgeConfig) -> JudgedPolicies:
