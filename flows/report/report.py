@@ -25,6 +25,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.selection import NOTHING_JUDGED, Selection, write_selection
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -44,6 +45,7 @@ class Report:
         fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
         graphs: Sentences about trainings that have lost their CUDA graphs.
+        selection: Policies that were judged from their log.
     """
 
     files: Sequence[Path]
@@ -53,16 +55,21 @@ class Report:
     fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
     graphs: Sequence[str] = ()
+    selection: Selection = NOTHING_JUDGED
 
     @property
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
-        reason = "has no system to evaluate on: its policies are stored but not evaluated."
+        reason = "has no system to evaluate on: its policies are "
+        judged = {True: "judged from its log alone.", False: "stored but not evaluated."}
         return [
             *self.fit_notes,
             *ended_notes(self.summaries),
             *undefined_notes(self.summaries),
-            *(f"{name} {reason}" for name in self.without_system),
+            *(
+                f"{name} {reason}{judged[name in self.selection.datasets]}"
+                for name in self.without_system
+            ),
             *self.software,
             *self.graphs,
         ]
@@ -81,7 +88,7 @@ class Report:
     def lines(self) -> list[str]:
         """What to print: the table, if it has rows, and notes on it."""
         table = [] if self.table.empty else markdown_table(self.table).splitlines()
-        return [*table, *(f"Note: {note}" for note in self.notes)]
+        return [*table, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
 
 
 def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
@@ -106,18 +113,23 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     table = result_table(summaries)
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, cards, _drawn(aggregations, summaries))
+    returns = {card.name: card.first_window_return_mean for card in cards}
+    selection = write_selection(folder, plan, done, store, returns)
     report = Report(
-        files,
+        [*files, *selection.files],
         table,
         summaries,
         _without_system(plan),
         fit_notes(done, store),
         software_notes(aggregations, store),
         graph_notes(done, store),
+        selection,
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
-    text = markdown_table(table) + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+    judged = "".join(f"{line}\n" for line in selection.lines)
+    said = "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+    text = markdown_table(table) + judged + said
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
     ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
     write_text(folder / "results.csv", results_csv(table))
