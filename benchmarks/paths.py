@@ -17,12 +17,12 @@ from benchmarks.lanes import UNTRAINED
 from benchmarks.records import Row, row_of_seconds
 from benchmarks.scalar_industrial_benchmark import TunedScalarIndustrialBenchmark
 from benchmarks.settings import Settings
-from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config as SwarmConfig
 from components.core.random_streams import lane_generator, lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
+from components.data.starts import start_rows
 from components.environments.mujoco.specifications import ROBOTS, load_model
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import evaluate_policies

@@ -18,12 +18,12 @@ from torch import Tensor
 
 from benchmarks.lanes import UNTRAINED, program
 from benchmarks.measure import computer, markdown, median_seconds
-from components.algorithms.parts.learner import start_rows
 from components.algorithms.wsbc import Config
 from components.data.batches import LaneData
 from components.data.dynamics import DynamicsSpecification
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
+from components.data.starts import start_rows
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy
 from components.training.loop import Learner

@@ -36,6 +36,9 @@ give the same command again.
   evaluation.trajectories=10      per policy
   evaluation.horizon=100          steps per trajectory
   evaluation.proximity_step=0.05  distance of the proximities at which policies are evaluated
+  judging.policies=auto           judge policies of logs without a system from the log; or all, none
+  judging.held_out=0.3            share of a log's episodes that judges learn from and policies not
+  judging.snapshots=1             last policies of a run that are judged
   aggregation.pool_fraction=0.1   last share of the snapshots that enters the table
   runner.stack=pair               or 2: one program for so many datasets; or algorithm: for all
 {COMMON_HELP}"""

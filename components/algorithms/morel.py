@@ -54,7 +54,6 @@ from components.algorithms.parts.learner import (
     StackedLearner,
     descend,
     saturation,
-    start_rows,
 )
 from components.algorithms.parts.natural_gradient import (
     LOG_STD_RANGE,
@@ -68,6 +67,7 @@ from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Choice, Draw, Normal, Order
 from components.core.random_streams import LaneStreams
 from components.data.sizes import DataSizes
+from components.data.starts import start_rows
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.transition.model_environment import ModelEnvironment
 from components.networks import lanewise_mean

@@ -36,12 +36,13 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, start_rows
+from components.algorithms.parts.learner import LearnerInputs, StackedLearner
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.sizes import DataSizes
+from components.data.starts import start_rows
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum

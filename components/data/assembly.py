@@ -1,7 +1,8 @@
 """Make a dataset of logged arrays: compute the card's statistics of them, in one place."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import fields
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,20 @@ from components.data.dataset import OfflineDataset, array_digest
 from components.data.returns import RETURN_STEPS, log_returns
 from components.data.validity import check_arrays, check_card
 
-__all__ = ["assemble"]
+__all__ = ["assemble", "part_of"]
+
+_OF_ARRAYS: Final = (
+    "trajectories",
+    "steps",
+    "transitions",
+    "return_steps",
+    "first_window_return_mean",
+    "first_window_return_min",
+    "first_window_return_max",
+    "all_windows_return_mean",
+    "digest",
+)
+"""The fields of a card that follow from the arrays."""
 
 
 def assemble(
@@ -61,3 +75,28 @@ def assemble(
     )
     check_card(card, source)
     return OfflineDataset(card=card, **arrays)
+
+
+def part_of(dataset: OfflineDataset, episodes: range) -> OfflineDataset:
+    """Some consecutive episodes of a log as a log of the same name, with statistics of its own.
+
+    Args:
+        dataset: The log.
+        episodes: Numbers of the episodes, in steps of one.
+
+    Raises:
+        ValueError: There are none, or none of them has a whole window of returns.
+    """
+    if not episodes:
+        raise ValueError(f"a part of {dataset.card.name} has no episode; give it one at least.")
+    starts = dataset.episode_starts[episodes.start : episodes.stop + 1]
+    first, last = int(starts[0]), int(starts[-1])
+    rows = {"frames": slice(first + episodes.start, last + episodes.stop)}
+    arrays = {
+        name: np.array(array[rows.get(name, slice(first, last))])
+        for name, array in dataset.arrays().items()
+        if name != "episode_starts"
+    }
+    card = {f.name: getattr(dataset.card, f.name) for f in fields(DatasetCard)}
+    kept = {name: value for name, value in card.items() if name not in _OF_ARRAYS}
+    return assemble(arrays | {"episode_starts": np.array(starts - first)}, **kept)

@@ -11,6 +11,7 @@ from typing import Any
 from components.algorithms import ALGORITHMS
 from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
+from components.judging.config import JudgeConfig
 from components.models import MODELS
 from components.models.action_stochasticity import StochasticityConfig
 
@@ -32,5 +33,6 @@ def component_defaults() -> dict[str, Any]:
         "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},
         "evaluation": asdict(EvaluationProtocol()),
         "experts": {"training": asdict(ExpertConfig())},
+        "judging": {"estimates": asdict(JudgeConfig())},
         "ranking": {"stochasticity": asdict(StochasticityConfig())},
     }

@@ -21,6 +21,7 @@ from flows.configuration.sections import (
     AlgorithmConfigs,
     DataSettings,
     ExpertsSettings,
+    JudgingSettings,
     ModelConfigs,
     ModelsSettings,
     RankingSettings,
@@ -115,6 +116,7 @@ class Settings(StrictModel):
     models: ModelsSettings
     tuning: TuningSettings
     ranking: RankingSettings
+    judging: JudgingSettings
     experts: ExpertsSettings
     runner: RunnerSettings
     store: Annotated[Path, BeforeValidator(_folder)]

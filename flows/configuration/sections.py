@@ -9,6 +9,7 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
+from components.judging.config import JudgeConfig
 from components.models.action_stochasticity import StochasticityConfig
 from flows.configuration.checking import SettingsError, StrictModel, hint
 from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
@@ -18,6 +19,7 @@ __all__ = [
     "AlgorithmConfigs",
     "DataSettings",
     "ExpertsSettings",
+    "JudgingSettings",
     "ModelConfigs",
     "ModelsSettings",
     "RankingSettings",
@@ -164,6 +166,23 @@ class TuningSettings(StrictModel):
 
     models: Annotated[tuple[str, ...], selection("model", MODEL_CONFIGS)]
     trials: int = Field(ge=1)
+
+
+class JudgingSettings(StrictModel):
+    """How policies are judged from their log alone.
+
+    Attributes:
+        policies: Which are: `auto`, those of logs without a system; `all`; or `none`.
+        held_out: Share of a log's episodes that judges learn from and policies do not, the last
+            ones.
+        snapshots: Number of a run's last snapshots that are judged.
+        estimates: How they are judged.
+    """
+
+    policies: Literal["auto", "all", "none"]
+    held_out: float = Field(gt=0, lt=1)
+    snapshots: int = Field(ge=1)
+    estimates: JudgeConfig
 
 
 class RankingSettings(StrictModel):

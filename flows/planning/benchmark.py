@@ -7,6 +7,13 @@ from components.algorithms import ALGORITHMS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
 from flows.planning.costs import data_sizes
+from flows.planning.judging import (
+    JUDGE_MODELS,
+    is_judged,
+    judge_models,
+    judgement_node,
+    part_node,
+)
 from flows.planning.model_choice import ModelChoice, choose_models
 from flows.planning.nodes import (
     aggregation_node,
@@ -30,9 +37,10 @@ def data_plan(settings: Settings) -> Plan:
     return Plan([data_node(settings, name) for name in settings.datasets])
 
 
-def _needed_models(settings: Settings) -> list[str]:
-    needed = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
-    return sorted(needed | {"behaviour_policy"})  # distances are measured to it
+def _needed_models(settings: Settings) -> set[str]:
+    """Those of the algorithms, and the one to which distances are measured."""
+    needs = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
+    return needs | {"behaviour_policy"}
 
 
 def model_choice(settings: Settings) -> ModelChoice:
@@ -42,7 +50,10 @@ def model_choice(settings: Settings) -> ModelChoice:
         SettingsError: Tuned ones are asked for and cannot be had.
     """
     data = {name: data_node(settings, name) for name in settings.datasets}
-    return choose_models(settings, _needed_models(settings), data)
+    models = _needed_models(settings)
+    if any(is_judged(settings, dataset) for dataset in settings.datasets):
+        models |= set(JUDGE_MODELS)
+    return choose_models(settings, models, data)
 
 
 def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Plan:
@@ -59,13 +70,18 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
             damaged.
     """
     choice = choice or model_choice(settings)
-    for (dataset, _), config in choice.configs.items():
-        check_model(settings, dataset, config)
+    for (dataset, name), config in choice.configs.items():
+        if name in _needed_models(settings):  # judges do without those that do not suit
+            check_model(settings, dataset, config)
     for dataset, name in product(settings.datasets, settings.algorithms):
         check_algorithm(settings, dataset, name)
     nodes = []
     for dataset in settings.datasets:
         data = data_node(settings, dataset)
+        judged = is_judged(settings, dataset)
+        if judged:
+            judges = judge_models(settings, data, choice.configs)
+            data = part_node(settings, data, "train")
         sizes = data_sizes(settings.dataset[dataset])
         own = settings.models.per_seed
         seeds = settings.seeds if own else (0,)
@@ -98,6 +114,11 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
                             for_algorithm=algorithm,
                         )
                     policies[seed] = policy_node(settings, variant, dataset, seed, inputs)
+                if judged:
+                    nodes += [
+                        judgement_node(settings, policy, variant.config, judges)
+                        for policy in policies.values()
+                    ]
                 if settings.dataset[dataset].environment is None:
                     nodes += policies.values()  # there is no system to evaluate them on
                     continue

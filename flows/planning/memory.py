@@ -85,6 +85,12 @@ def least_bytes(nodes: Sequence[Node]) -> int:
     return 0
 
 
+def _spec(data: Node) -> Mapping[str, Any]:
+    """What a dataset is made by; that of a part is the whole log's."""
+    spec: Mapping[str, Any] = (data.inputs.get("dataset") or data).config["spec"]
+    return spec
+
+
 def _shape(spec: Mapping[str, Any]) -> tuple[int, int, int]:
     """Frames in an observation, values of a frame and of an action; 1 where they are not known."""
     if spec.get("robot") in ROBOTS:
@@ -113,7 +119,7 @@ def _networks(settings: Mapping[str, Any]) -> list[list[int]]:
 def _training_bytes(node: Node) -> int:
     """One lane: the widest network's weights, and one batch behind its widest layer."""
     settings = node.config["settings"]
-    history, frame, _ = _shape(node.inputs["dataset"].config["spec"])
+    history, frame, _ = _shape(_spec(node.inputs["dataset"]))
     # Models may read less than a whole observation.
     inputs = history * frame if node.component == "policy_training" else frame
     networks = _networks(settings)
@@ -129,7 +135,7 @@ def _training_bytes(node: Node) -> int:
 def _evaluation_bytes(node: Node) -> int:
     """The observations of all copies of the system."""
     policy = node.inputs["policy"]
-    history, frame, _ = _shape(policy.inputs["dataset"].config["spec"])
+    history, frame, _ = _shape(_spec(policy.inputs["dataset"]))
     protocol, _ = EvaluationProtocol.of_record(node.config["evaluation"])
     takes = ALGORITHMS[policy.config["algorithm"]].takes_proximity
     proximities = len(protocol.proximities) if takes else 1

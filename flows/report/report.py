@@ -30,6 +30,7 @@ from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
 from flows.report.returns import cell_returns, with_intervals
+from flows.report.selection import NOTHING_JUDGED, Selection, write_selection
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -51,6 +52,7 @@ class Report:
         software: A sentence if rows come from different software or devices.
         graphs: Sentences about trainings that have lost their CUDA graphs.
         comparison: Sentences about what cannot be compared with the thesis.
+        selection: Policies that were judged from their log.
     """
 
     files: Sequence[Path]
@@ -62,17 +64,22 @@ class Report:
     software: Sequence[str] = ()
     graphs: Sequence[str] = ()
     comparison: Sequence[str] = ()
+    selection: Selection = NOTHING_JUDGED
 
     @property
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
-        reason = "has no system to evaluate on: its policies are stored but not evaluated."
+        reason = "has no system to evaluate on: its policies are "
+        judged = {True: "judged from its log alone.", False: "stored but not evaluated."}
         return [
             *self.comparison,
             *self.fit_notes,
             *ended_notes(self.summaries),
             *undefined_notes(self.summaries),
-            *(f"{name} {reason}" for name in self.without_system),
+            *(
+                f"{name} {reason}{judged[name in self.selection.datasets]}"
+                for name in self.without_system
+            ),
             *self.software,
             *self.graphs,
         ]
@@ -97,7 +104,7 @@ class Report:
         table = []
         if not self.table.empty:
             table = [*text_overview(self.overview, width).splitlines(), "", *self.overview.notes()]
-        return [*table, *(f"Note: {note}" for note in self.notes)]
+        return [*table, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
 
     def markdown(self) -> str:
         """The overview, what its signs mean, and the long form, as Markdown."""
@@ -129,8 +136,10 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
     logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)
+    returns = {card.name: card.first_window_return_mean for card in cards}
+    selection = write_selection(folder, plan, done, store, returns)
     report = Report(
-        files,
+        [*files, *selection.files],
         table,
         overview(table, logged, comparison.thesis, comparison.footnotes),
         summaries,
@@ -139,10 +148,13 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
         software_notes(aggregations, store),
         graph_notes(done, store),
         comparison.notes,
+        selection,
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
-    text = report.markdown() + "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+    judged = "".join(f"{line}\n" for line in selection.lines)
+    said = "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
+    text = report.markdown() + judged + said
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
     ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
     write_text(folder / "results.csv", results_csv(table))

@@ -4,14 +4,11 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from components.core.random_streams import LaneStreams
 from components.data.batches import Batch, LaneData
-from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.policies.policy import Policy, PolicyCard
 from components.training.cuda_graphs import BranchingLearner
@@ -35,7 +32,6 @@ __all__ = [
     "gather_gradients",
     "needed",
     "saturation",
-    "start_rows",
 ]
 
 SATURATED = 0.99
@@ -218,24 +214,3 @@ def saturation(actions: Tensor) -> Tensor:
     """Share of action entries on a bound (beyond 0.99), ``[L]``."""
     beyond = actions.detach().abs() > SATURATED
     return beyond.flatten(1).mean(dim=1, dtype=actions.dtype)
-
-
-def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
-    """Transitions in whose states virtual trajectories may start, ``[<= E * (window - after)]``.
-
-    Args:
-        dataset: The log.
-        window: Steps ``after`` ... ``window - 1`` of every episode are taken.
-        after: First step taken.
-
-    Raises:
-        ValueError: If no episode is longer than ``after``.
-    """
-    step = np.arange(dataset.transitions) - dataset.episode_starts[dataset.episode_index()]
-    found = np.flatnonzero((after <= step) & (step < window))
-    if not len(found):
-        raise ValueError(
-            f"No trajectory of {dataset.card.name} has a step after its first {after}; lower "
-            "start_after."
-        )
-    return found

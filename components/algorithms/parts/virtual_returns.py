@@ -5,8 +5,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from components.algorithms.parts.learner import LearnerInputs, start_rows
+from components.algorithms.parts.learner import LearnerInputs
 from components.core.draws import Choice, Draw
+from components.data.starts import start_rows
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
@@ -39,7 +40,7 @@ class VirtualReturns:
         self.scale = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
 
     def start_draw(self, batch: int, window: int, after: int) -> Draw:
-        """Drawing rule of start states, see :func:`.learner.start_rows`."""
+        """Drawing rule of start states, see :func:`components.data.starts.start_rows`."""
         starts = [start_rows(dataset, window, after) for dataset in self._data.datasets]
         return Choice(starts, batch)
 

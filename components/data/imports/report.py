@@ -88,8 +88,8 @@ def _after_training(environment: str) -> str:
     if environment in SYSTEMS:
         return f"Policies trained on it are evaluated on {environment}, which its card names."
     return (
-        "There is no real system to try policies on: a sweep over this dataset ends with the "
-        "trained policies, which are not evaluated."
+        "There is no real system to try policies on: a sweep over this dataset judges the "
+        "trained policies from a part of the log that they have not learned from."
     )
 
 

@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from components.algorithms import ALGORITHMS
-from components.algorithms.parts.learner import LearnerInputs, start_rows
+from components.algorithms.parts.learner import LearnerInputs
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.sizes import DataSizes
+from components.data.starts import start_rows
 from components.models import MODELS
 from components.policies.policy import Policy
 from components.training.cuda_graphs import GraphedLearner, lost_graphs

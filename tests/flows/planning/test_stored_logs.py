@@ -1,4 +1,4 @@
-"""Datasets without a system: their plans and their sweeps end at the policies."""
+"""Datasets without a system: their plans and their sweeps end with a judgement from the log."""
 
 import dataclasses
 import json
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from components.algorithms import ALGORITHMS
@@ -56,15 +57,47 @@ def data_key(plan: Plan) -> str:
     return node.key
 
 
-def test_plans_end_at_the_policies(project: Path) -> None:
+def test_plans_end_with_judgements(project: Path) -> None:
     plan = benchmark_plan(chosen("algorithms=[bc,td3_bc]"))
-    assert plan.counts() == {"data_generation": 1, "policy_training": 4}
-    assert {node.name for node in plan if not plan.dependents(node.key)} == {
-        f"{name}/my-log/seed{seed}" for name in ("bc", "td3_bc") for seed in (0, 1)
+    # Episodes of 40 steps are too short for an ensemble: a behaviour policy is all that is fitted.
+    assert plan.counts() == {
+        "data_generation": 1,
+        "data_split": 2,
+        "policy_training": 4,
+        "model_fitting": 1,
+        "judgement": 4,
     }
+    assert {node.name for node in plan if not plan.dependents(node.key)} == {
+        f"judge/{name}/my-log/seed{seed}" for name in ("bc", "td3_bc") for seed in (0, 1)
+    }
+    for node in plan.by_component()["judgement"]:
+        learned, judging = node.inputs["policy"].inputs["dataset"], node.inputs["dataset"]
+        assert (learned.config["part"], judging.config["part"]) == ("train", "judge")
     both = benchmark_plan(chosen("algorithms=[bc]", "datasets=[my-log,bad-0.0]"))
     evaluated = {node.tags["dataset"] for node in both if node.component == "evaluation"}
     assert evaluated == {"bad-0.0"}
+
+
+@pytest.mark.parametrize("word", ["judging.policies=none", "datasets=[my-log]"])
+def test_plans_end_at_the_policies_where_nothing_is_judged(project: Path, word: str) -> None:
+    if word.startswith("datasets"):
+        replaced(project, make_log(episodes=3))  # too few for two parts
+    plan = benchmark_plan(chosen("algorithms=[bc]", word))
+    assert plan.counts() == {"data_generation": 1, "policy_training": 2}
+
+
+def test_the_judges_of_a_system_know_an_ensemble_and_are_asked_for() -> None:
+    words = ("profile=smoke", "algorithms=[bc,lion]", "seeds=[0]")
+    assert "judgement" not in benchmark_plan(load_settings(words)).counts()
+    plan = benchmark_plan(load_settings([*words, "judging.policies=all"]))
+    assert plan.counts()["judgement"] == plan.counts()["evaluation"] == 2
+    bc, lion = plan.by_component()["judgement"]
+    assert set(lion.inputs) - set(bc.inputs) == {"trained_in"}
+    own, judges = lion.inputs["trained_in"], lion.inputs["recurrent_ensemble"]
+    assert own.config["settings"] == judges.config["settings"]
+    assert own.config["seed"] != judges.config["seed"]
+    assert own.inputs["dataset"].config["part"] == "train"
+    assert judges.inputs["dataset"].config["part"] == "judge"
 
 
 def test_the_key_holds_the_content_of_a_log_but_not_its_folder_or_the_data_seed(
@@ -109,7 +142,15 @@ def test_the_log_is_stored_like_any_dataset_and_learned_from(project: Path) -> N
     store = finished(plan, project / "store")
     for node in plan:
         folder = store.path(node.key)
-        if node.component == "data_generation":
+        if node.component == "data_split":
+            part = OfflineDataset.open(folder / "dataset")
+            episodes = {"train": slice(0, 4), "judge": slice(4, 6)}[node.config["part"]]
+            rows = np.r_[tuple(slice(n * 40, n * 40 + 40) for n in range(6)[episodes])]
+            np.testing.assert_array_equal(part.actions, LOG.actions[rows])
+        elif node.component == "judgement":
+            with np.load(folder / "judgement.npz") as found:
+                assert np.isfinite(found["fitted_q"]).all()
+        elif node.component == "data_generation":
             made = OfflineDataset.open(folder / "dataset")
             assert made.card == dataclasses.replace(LOG.card, name="my-log")
             np.testing.assert_array_equal(made.actions, LOG.actions)
@@ -132,15 +173,26 @@ def test_policies_from_a_log_of_a_registered_system_are_evaluated_there(project:
     assert np.isfinite(np.load(store.path(evaluation.key) / "returns.npz")["returns"]).all()
 
 
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [("auto", "judged from its log alone"), ("none", "stored but not evaluated")],
+)
 def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
-    project: Path, capsys: pytest.CaptureFixture[str]
+    project: Path, capsys: pytest.CaptureFixture[str], wanted: str, said: str
 ) -> None:
     words = ("algorithms=[bc]", "runner.executor=serial", f"store={project / 'store'}")
-    assert full_benchmark._run(chosen(*words)) == 0
-    said = "my-log has no system to evaluate on: its policies are stored but not evaluated."
-    assert f"Note: {said}" in capsys.readouterr().out
+    assert full_benchmark._run(chosen(*words, f"judging.policies={wanted}")) == 0
+    note = f"my-log has no system to evaluate on: its policies are {said}."
+    shown = capsys.readouterr().out
+    assert f"Note: {note}" in shown
     [report] = (project / "store" / "reports").glob("*/results.md")
-    assert f"- {said}" in report.read_text(encoding="utf-8")
+    assert f"- {note}" in report.read_text(encoding="utf-8")
+    [*table] = report.parent.glob("selection.csv")
+    assert bool(table) == ("best first by" in shown) == (wanted == "auto")
+    if table:
+        row = pd.read_csv(table[0]).iloc[0]
+        assert (row["dataset"], row["algorithm"], row["policies"]) == ("my-log", "bc", 2)
+        assert np.isfinite(row["score"])
 
 
 def test_a_path_that_leads_nowhere_ends_in_one_sentence(project: Path) -> None:

@@ -1,0 +1,53 @@
+"""The settings of all judges."""
+
+from dataclasses import dataclass
+
+__all__ = ["JudgeConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgeConfig:
+    """How policies are judged from a log."""
+
+    proximity_step: float = 0.1  # of the grid of proximities, from 0 to 1
+    # virtual trajectories in an ensemble
+    starts: int = 40  # logged states in which trajectories start
+    start_window: int = 30  # they are among the first steps of each episode, so many
+    # the log's support
+    neighbours: int = 10_000  # logged transitions to which others are compared
+    visited: int = 500  # states of the virtual trajectories that are compared
+    quantile: float = 0.99  # of held-out transitions that are said to be within the support
+    # fitted Q evaluation
+    updates: int = 2000
+    hidden: tuple[int, ...] = (64, 64)
+    batch: int = 256
+    learning_rate: float = 1e-3  # Adam
+    target_rate: float = 0.01  # tau, with which target networks follow
+    replicas: int = 2  # networks a policy, of other weights and batches
+    transitions: int = 50_000  # of the log at most, evenly spaced
+
+    def __post_init__(self) -> None:
+        """Reject values outside their range.
+
+        Raises:
+            ValueError: Naming the fields and their range.
+        """
+        counts = ("starts", "start_window", "neighbours", "visited", "updates", "batch", "replicas")
+        for name in (*counts, "transitions"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"hidden must name at least one layer, of 1 or more: {self.hidden}.")
+        if not 0 < self.quantile < 1:
+            raise ValueError(f"quantile must lie between 0 and 1, got {self.quantile}.")
+        if self.learning_rate <= 0 or not 0 < self.target_rate <= 1:
+            raise ValueError("learning_rate must be above 0, target_rate in (0, 1].")
+        step = self.proximity_step
+        if not 0.01 <= step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
+            raise ValueError(f"proximity_step must divide 1 and be at least 0.01, got {step}.")
+
+    @property
+    def proximities(self) -> tuple[float, ...]:
+        """The grid 0, step, ..., 1."""
+        count = round(1 / self.proximity_step)
+        return tuple(n / count for n in range(count + 1))

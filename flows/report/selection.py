@@ -1,0 +1,171 @@
+"""Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from components.aggregation.selection import DEFAULT_SCORE, ESTIMATES, SCORES, scored
+from components.core.files import write_text
+from components.reporting.ranking import markdown
+from components.reporting.selection import judge_table, selection_markdown, selection_table
+from flows.pipeline.plan import Node, Plan
+from flows.pipeline.store import ArtifactStore
+from flows.tasks.judging import JUDGEMENT
+
+__all__ = ["NOTHING_JUDGED", "Selection", "judged_policies", "write_selection"]
+
+_COLUMNS: Final = (
+    "model",
+    "model_error",
+    "model_least",
+    "fitted_q",
+    "fitted_q_error",
+    "distance",
+    "outside",
+    "promised",
+)
+
+_QUALITIES: Final = {
+    "spearman": 2,
+    "regret_1": 1,
+    "regret_5": 1,
+    "relative_regret_1": 2,
+    "caught": 2,
+    "exploits_caught": 2,
+    "cleared": 2,
+}
+"""Columns of the table of judges that are printed, and their decimals."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was written about judged policies.
+
+    Attributes:
+        files: Tables as CSV.
+        lines: What to print.
+        datasets: Names of those whose policies were judged.
+    """
+
+    files: Sequence[Path] = ()
+    lines: Sequence[str] = ()
+    datasets: frozenset[str] = frozenset()
+
+
+NOTHING_JUDGED: Final = Selection()
+
+
+def write_selection(
+    folder: Path,
+    plan: Plan,
+    done: Sequence[Node],
+    store: ArtifactStore,
+    behaviour_returns: Mapping[str, float],
+) -> Selection:
+    """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
+
+    Args:
+        folder: Of the report.
+        plan: Of the sweep.
+        done: Its finished nodes.
+        store: With their artifacts.
+        behaviour_returns: Mean return of the controller that logged each dataset.
+
+    Raises:
+        DamagedFileError: A judgement is missing or damaged.
+    """
+    policies = judged_policies(plan, done, store)
+    if policies.empty:
+        return NOTHING_JUDGED
+    policies = scored(policies)
+    table = selection_table(policies, DEFAULT_SCORE)
+    written = {"judgements": policies, "selection": table}
+    lines = [
+        "",
+        f"Judged from the log alone, best first by {DEFAULT_SCORE} (gain over the behaviour "
+        "policy; docs/judging.md):",
+        "",
+        *selection_markdown(table).splitlines(),
+    ]
+    judges = judge_table(policies, behaviour_returns)
+    if not judges.empty:
+        written["judges"] = judges
+        means = judges.groupby("score", sort=False)[list(_QUALITIES)].mean().loc[list(SCORES)]
+        lines += [
+            "",
+            f"How well judges rank, mean of {judges['dataset'].nunique()} datasets:",
+            "",
+            *markdown(means.reset_index(), _QUALITIES).splitlines(),
+        ]
+    files = [folder / f"{name}.csv" for name in written]
+    for path, content in zip(files, written.values(), strict=True):
+        write_text(path, content.to_csv(index=False, lineterminator="\n"))
+    return Selection(files, lines, frozenset(policies["dataset"]))
+
+
+def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
+    """All judged policies of finished nodes.
+
+    Args:
+        plan: Of the sweep.
+        done: Its finished nodes.
+        store: With their artifacts.
+
+    Returns:
+        Columns ``dataset``, ``algorithm`` (of the variant), ``seed``, ``step``, ``proximity`` (NaN
+        where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``, and
+        ``true_return``, NaN where there is no evaluation.
+    """
+    finished = {node.key for node in done}
+    parts = []
+    for node in done:
+        if node.component != "judgement":
+            continue
+        store.check(node.key, (JUDGEMENT,))
+        with np.load(store.path(node.key) / JUDGEMENT) as stored:
+            found = {name: stored[name] for name in stored.files}
+        policy = node.inputs["policy"]
+        shape = found["model"].shape
+        steps, proximities = np.broadcast_arrays(
+            found["steps"][:, None], found["proximities"][None]
+        )
+        columns = {
+            "dataset": node.tags["dataset"],
+            "algorithm": policy.name.split("/", 1)[0],
+            "seed": int(node.tags["seed"]),
+            "step": steps.ravel(),
+            "proximity": proximities.ravel(),
+            **{name: found[name].ravel() for name in _COLUMNS},
+            **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in ESTIMATES},
+            "true_return": np.full(shape, np.nan).ravel(),
+        }
+        evaluations = [
+            other
+            for other in plan.dependents(policy.key)
+            if other.component == "evaluation" and other.key in finished
+        ]
+        if evaluations:
+            columns["true_return"] = _true_returns(
+                evaluations[0], store, found["steps"], found["proximities"]
+            ).ravel()
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def _true_returns(
+    node: Node, store: ArtifactStore, steps: np.ndarray, proximities: np.ndarray
+) -> np.ndarray:
+    """Mean returns ``[S, G]`` of an evaluation; NaN at proximities that it lacks."""
+    store.check(node.key, ("returns.npz",))
+    with np.load(store.path(node.key) / "returns.npz") as stored:
+        means, at, known = stored["returns"].mean(axis=-1), stored["steps"], stored["lambdas"]
+    means = means[np.searchsorted(at, steps)]
+    if np.isnan(proximities).all():
+        return means
+    apart = np.abs(known[None] - proximities[:, None])
+    nearest = apart.argmin(axis=1)
+    return np.where(apart.min(axis=1) < 1e-6, means[:, nearest], np.nan)
