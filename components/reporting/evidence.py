@@ -124,7 +124,8 @@ class Evidence:
         costs: A row per algorithm: hours of training and evaluation, memory.
         software: A row per combination of software and device.
         ranking: The table of :mod:`flows.rank_datasets`, if it was run on these datasets.
-        selection: The table of a policy selection, if it was run.
+        selection: The policies that judges would choose from the logs alone, if they were asked.
+        judges: How well they ranked the policies, where true returns are known.
         across: Algorithms compared over datasets; None if too little is finished.
         budget: Profile and seeds, for titles.
     """
@@ -141,6 +142,7 @@ class Evidence:
     software: pd.DataFrame = field(default_factory=pd.DataFrame)
     ranking: pd.DataFrame | None = None
     selection: pd.DataFrame | None = None
+    judges: pd.DataFrame | None = None
     across: Across | None = None
     budget: str = ""
 

@@ -79,6 +79,7 @@ def page(evidence: Evidence) -> str:
         finished=list(dict.fromkeys(c.dataset for c in evidence.cells.values())),
         ranking=None if evidence.ranking is None else _table(evidence.ranking),
         selection=None if evidence.selection is None else _table(evidence.selection),
+        judges=None if evidence.judges is None else _table(evidence.judges),
         total=_total(evidence.costs),
         costs=_table(evidence.costs),
         software=_table(evidence.software),

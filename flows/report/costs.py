@@ -15,6 +15,7 @@ _KINDS = {
     "model_fitting": "model",
     "policy_training": "training",
     "evaluation": "evaluation",
+    "judgement": "judging",
 }
 
 
@@ -49,7 +50,7 @@ def cost_table(parts: Mapping[str, Sequence[StoredNode]]) -> pd.DataFrame:
 
 
 def _label(node: StoredNode) -> str:
-    if node.component == "evaluation":
+    if node.component in ("evaluation", "judgement"):
         return node.name.split("/")[1]
     if node.component == "policy_training":
         return node.name.split("/")[0]

@@ -24,7 +24,7 @@ from flows.report.comparison import Comparison, comparable_behaviour, compare
 from flows.report.costs import cost_table, software_table
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
-from flows.report.other_tables import ranking_of, selection_of
+from flows.report.other_tables import judges_of, ranking_of, selection_of
 from flows.report.returns import cell_returns, pooled_snapshots, with_intervals
 from flows.report.software import software_notes
 from flows.report.stored_nodes import StoredSweep, read_stored_sweep
@@ -110,6 +110,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         software=software_table(done),
         ranking=ranking_of(store.root, data),
         selection=selection_of(store.root, names),
+        judges=judges_of(store.root, names),
         across=compare_across(rows, cells, shown),
         budget=_budget(parts),
     )

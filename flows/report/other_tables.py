@@ -7,7 +7,19 @@ import pandas as pd
 
 from flows.pipeline.sweep_records import known_nodes
 
-__all__ = ["ranking_of", "selection_of"]
+__all__ = ["judges_of", "ranking_of", "selection_of"]
+
+_FIRST = 3  # policies of a dataset that a report shows
+_SELECTION = {
+    "dataset": "dataset",
+    "sweep": "sweep",
+    "algorithm": "algorithm",
+    "proximity": "λ",
+    "policies": "policies",
+    "score": "gain that the judge expects",
+    "true_return": "true return",
+}
+"""Columns that are shown, and their headings."""
 
 
 def ranking_of(root: Path, datasets: Mapping[str, str]) -> pd.DataFrame | None:
@@ -29,11 +41,27 @@ def ranking_of(root: Path, datasets: Mapping[str, str]) -> pd.DataFrame | None:
 
 
 def selection_of(root: Path, sweeps: Sequence[str]) -> pd.DataFrame | None:
-    """What policy selection has found, `reports/SWEEP/selection.csv`; None if it was not run."""
-    found = {name: root / "reports" / name / "selection.csv" for name in sweeps}
-    tables = {name: pd.read_csv(path) for name, path in found.items() if path.is_file()}
+    """The first policies of every dataset by their judges; None if none was judged."""
+    table = _table(root, sweeps, "selection.csv")
+    if table is None:
+        return None
+    first = table.groupby("dataset", sort=False).head(_FIRST)
+    return first[[name for name in _SELECTION if name in first]].rename(columns=_SELECTION)
+
+
+def judges_of(root: Path, sweeps: Sequence[str]) -> pd.DataFrame | None:
+    """How well every score ranked, mean over the datasets; None where no true return is known."""
+    table = _table(root, sweeps, "judges.csv")
+    if table is None:
+        return None
+    return table.groupby("score", sort=False).mean(numeric_only=True).reset_index()
+
+
+def _table(root: Path, sweeps: Sequence[str], name: str) -> pd.DataFrame | None:
+    """A table from the reports of all sweeps that have one, below each other."""
+    paths = {sweep: root / "reports" / sweep / name for sweep in sweeps}
+    tables = [pd.read_csv(path).assign(sweep=s) for s, path in paths.items() if path.is_file()]
     if not tables:
         return None
-    if len(sweeps) == 1:
-        return next(iter(tables.values()))
-    return pd.concat([table.assign(sweep=name) for name, table in tables.items()])
+    table = pd.concat(tables, ignore_index=True)
+    return table if len(sweeps) > 1 else table.drop(columns="sweep")

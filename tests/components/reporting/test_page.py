@@ -156,8 +156,9 @@ def test_what_is_missing_is_said() -> None:
     assert "python -m flows.rank_datasets makes this table" in text
     ranked = page(evidence(ranking=pd.DataFrame([{"dataset": "bad-0.4", "eri": 0.75}])))
     assert "<td>0.75</td>" in ranked
-    chosen = page(evidence(selection=pd.DataFrame([{"judge": "critic", "regret": 1.5}])))
-    assert "<td>1.50</td>" in chosen
+    assert "judging.policies=all does it" in text
+    rows = pd.DataFrame([{"judge": "critic", "regret": 1.5}])
+    assert page(evidence(selection=rows, judges=rows)).count("<td>1.50</td>") == 2
     fixed = evidence()
     cells = {pair: cell for pair, cell in fixed.cells.items() if not cell.adapts}
     assert "No policy of this sweep takes a proximity" in page(replace(fixed, cells=cells))

@@ -8,7 +8,7 @@ import pytest
 
 from flows.pipeline.sweep_records import SweepRecord
 from flows.report.costs import cost_table, software_table
-from flows.report.other_tables import ranking_of, selection_of
+from flows.report.other_tables import judges_of, ranking_of, selection_of
 from flows.report.stored_nodes import StoredNode
 
 
@@ -23,6 +23,7 @@ def test_costs_are_by_work_and_label_the_dearest_first() -> None:
         node("policy_training", "bc/a/seed1", 1800.0, peak_rss_mib=2048.0, device="cuda"),
         node("policy_training", "lion/a/seed0", 7200.0),
         node("evaluation", "evaluate/bc/a/seed0"),
+        node("judgement", "judge/bc/a/seed0"),
         node("model_fitting", "behaviour_policy/a"),
         node("aggregation", "aggregate/bc/a"),
     ]
@@ -32,6 +33,7 @@ def test_costs_are_by_work_and_label_the_dearest_first() -> None:
         ("training", "lion"),
         ("training", "bc"),
         ("evaluation", "bc"),
+        ("judging", "bc"),
     ]
     bc = table[(table["work"] == "training") & (table["of"] == "bc")].to_dict("records")[0]
     assert (bc["runs"], bc["hours"], bc["minutes a run"]) == (2, 1.0, 30.0)
@@ -70,10 +72,22 @@ def test_a_ranking_of_the_same_logs_is_found_and_of_others_is_not(tmp_path: Path
 
 
 @pytest.mark.parametrize("sweeps", [["s"], ["s", "t"]])
-def test_selections_are_read_where_they_were_made(tmp_path: Path, sweeps: list[str]) -> None:
+def test_what_judges_chose_is_read_where_it_was_written(tmp_path: Path, sweeps: list[str]) -> None:
     assert selection_of(tmp_path, sweeps) is None
-    write(tmp_path / "reports" / "s", "selection.csv", judge=["critic"], regret=[0.5])
-    found = selection_of(tmp_path, sweeps)
+    assert judges_of(tmp_path, sweeps) is None
+    folder = tmp_path / "reports" / "s"
+    score = [9.0, 8.0, 7.0, 6.0, 1.0]
+    write(folder, "selection.csv", dataset=[*"aaaab"], algorithm="bc", score=score, model_error=0.1)
+    write(
+        folder, "judges.csv", score=["m", "q"] * 2, dataset=[*"aabb"], regret_1=[0.0, 2.0, 4.0, 8.0]
+    )
+    found, judges = selection_of(tmp_path, sweeps), judges_of(tmp_path, sweeps)
     assert found is not None
-    assert found["regret"].tolist() == [0.5]
+    assert judges is not None
+    assert found["gain that the judge expects"].tolist() == [9.0, 8.0, 7.0, 1.0]
     assert ("sweep" in found) == (len(sweeps) > 1)
+    assert "model_error" not in found
+    assert judges.to_dict("records") == [
+        {"score": "m", "regret_1": 2.0},
+        {"score": "q", "regret_1": 5.0},
+    ]
