@@ -183,10 +183,21 @@ def _differences(cell: Node, paper: Node) -> Iterator[Difference]:
         other = theirs.inputs.get(role)
         if other is not None and role != "dataset":
             yield from _unequal(role, model.config["settings"], other.config["settings"])
-    ours, theirs = ours.inputs["dataset"], theirs.inputs["dataset"]
+    held_out = [node.inputs["dataset"].config.get("held_out", 0.0) for node in (ours, theirs)]
+    if held_out[0] != held_out[1]:
+        yield Difference("the log", "share held out for judges", *held_out)
+    ours, theirs = _log_of(ours), _log_of(theirs)
     yield from _unequal("the log", ours.config["spec"], theirs.config["spec"])
     if ours.config["seed"] != theirs.config["seed"]:
         yield Difference("the log", "data.seed", ours.config["seed"], theirs.config["seed"])
+
+
+def _log_of(policy: Node) -> Node:
+    """The node that generated a policy's log, of which the policy may have seen a part only."""
+    node = policy.inputs["dataset"]
+    while node.component != "data_generation":
+        node = node.inputs["dataset"]
+    return node
 
 
 def _unequal(part: str, here: Mapping[str, Any], paper: Mapping[str, Any]) -> Iterator[Difference]:

@@ -51,6 +51,14 @@ def test_other_episodes_are_not_comparable_and_other_logs_only_differ(word: str)
         assert any(d.setting.endswith(name) for d in found.differences["bad-0.4", "td3_bc"])
 
 
+def test_logs_that_are_divided_for_judges_are_compared_as_whole_logs() -> None:
+    found = compare(cells("profile=paper", *ONE, "judging.policies=all", "data.seed=3"))
+    said = {d.setting: (d.here, d.thesis) for d in found.differences["bad-0.4", "td3_bc"]}
+    held_out = load_settings(["profile=paper"]).judging.held_out
+    assert said == {"share held out for judges": (held_out, 0.0), "data.seed": (3, 0)}
+    assert found.thesis["bad-0.4", "td3_bc"].value == -230.0
+
+
 def test_robots_are_a_hint_and_own_logs_have_no_counterpart() -> None:
     found = compare(cells("profile=paper", "datasets=[hopper]", "algorithms=[td3_bc]"))
     [value] = found.thesis.values()
