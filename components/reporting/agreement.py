@@ -1,5 +1,6 @@
 """How far a sweep's results agree with the thesis's: ranks, and cells that differ."""
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -28,7 +29,7 @@ def agreement_table(evidence: Evidence) -> pd.DataFrame:
     """A row per comparable cell: ours and the thesis's 10th percentile and standard errors.
 
     Cells with another discount in the thesis are left out. `apart` says whether the two differ by
-    more than both standard errors together.
+    more than both standard errors together; it cannot be said of a cell without `several` seeds.
     """
     rows = []
     for (dataset, algorithm), thesis in evidence.thesis.items():
@@ -36,6 +37,7 @@ def agreement_table(evidence: Evidence) -> pd.DataFrame:
         if cell is None or thesis.other_discount or cell.value != cell.value:
             continue
         apart = cell.value - thesis.value
+        several = math.isfinite(cell.interval[0])  # a single seed has no error that means anything
         rows.append(
             {
                 "domain": domain_of(evidence.logs[dataset].system),
@@ -46,7 +48,8 @@ def agreement_table(evidence: Evidence) -> pd.DataFrame:
                 "thesis": thesis.value,
                 "its standard error": thesis.error,
                 "difference": apart,
-                "apart": abs(apart) > cell.standard_error + thesis.error,
+                "apart": several and abs(apart) > cell.standard_error + thesis.error,
+                "several": several,
             }
         )
     return pd.DataFrame(rows)
@@ -64,7 +67,7 @@ def correlation_rows(table: pd.DataFrame) -> list[Mapping[str, object]]:
             "domain": name,
             "cells": len(own),
             "spearman": spearman(own["here"], own["thesis"]),
-            "apart": int(own["apart"].sum()),
+            "apart": int(own["apart"].sum()) if own["several"].any() else "unknown",
         }
         for name, own in domains
     ]

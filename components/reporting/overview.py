@@ -203,4 +203,5 @@ def shown(value: float, sign: bool = False) -> str:
     """A return with one decimal; "not finite" if a policy has diverged."""
     if not math.isfinite(value):
         return "not finite"
-    return f"{value:+.1f}" if sign else f"{value:.1f}"
+    rounded = round(value, 1) + 0.0  # without the sign of a negative zero
+    return f"{rounded:+.1f}" if sign else f"{rounded:.1f}"

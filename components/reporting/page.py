@@ -155,7 +155,7 @@ def _shown_cell(column: Column, value: Value) -> dict[str, Any]:
         "kind": surely,
         "difference": "" if value.difference is None else shown(value.difference, sign=True),
         "place": "" if value.proximity is None else f"at {value.proximity:.2f}",
-        "error": _number(value.standard_error, 1, "± "),
+        "error": _number(value.standard_error, 1, "± ") if known else "",
         "interval": interval,
         "thesis": thesis,
         "title": f"{column.heading}: {shown(value.value)}, 95 % interval {interval}",

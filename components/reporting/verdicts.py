@@ -61,7 +61,7 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
     level = best.value - best.difference  # of the log of its own sweep
     gain = best.difference
     sentences = [
-        f"The best is {name}: nine in ten of its policies reach {shown(best.value)} or more, "
+        f"The best is {name}: {_of_whom(best)} {shown(best.value)} or more, "
         f"{'above' if gain > 0 else 'against'} the {shown(level)} of what was logged"
         + (f", a gain of {gain:.1f} ({gain / abs(level):.0%})." if gain > 0 else ".")
     ]
@@ -70,6 +70,11 @@ def _verdict(evidence: Evidence, dataset: str) -> Verdict:
         if cell.adapts and cell.algorithm in {column.algorithm for column in row}:
             sentences.append(_how_far(cell, level))
     return Verdict(dataset, judgement, headline, sentences)
+
+
+def _of_whom(best: Value) -> str:
+    one_seed = math.isnan(best.interval[0])
+    return "those of its one seed reach" if one_seed else "nine in ten of its policies reach"
 
 
 def _named(column: Column, cell: Value) -> str:

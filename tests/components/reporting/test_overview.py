@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from components.reporting.overview import Column, Overview, Thesis, overview
+from components.reporting.overview import Column, Overview, Thesis, overview, shown
 from components.reporting.overview_text import latex_overview, markdown_overview, text_overview
 from components.reporting.tables import result_table
 from tests.components.reporting.summaries import LION, TD3_BC, point
@@ -83,3 +83,10 @@ def test_latex_has_standard_errors_and_no_bare_underscores() -> None:
     assert r"\textbf{-75.1} (0.2)" in text
     assert r"\quad thesis &  & -77.7 (0.1)" in text
     assert "not finite" in text
+
+
+def test_numbers_are_shown_without_a_negative_zero() -> None:
+    assert [shown(-0.04), shown(-0.04, sign=True), shown(-0.06), shown(0.04, sign=True)] == [
+        "0.0", "+0.0", "-0.1", "+0.0",
+    ]  # fmt: skip
+    assert shown(math.inf) == "not finite"

@@ -79,6 +79,17 @@ def test_agreement_leaves_out_other_discounts_and_says_what_is_apart() -> None:
     near = agreement_table(evidence(thesis={("bad-0.4", "td3_bc"): Thesis(-217.0, 2.0)}))
     assert not near["apart"].any()
     assert agreement_table(evidence(thesis={})).empty
+
+
+def test_a_single_seed_is_not_called_apart_nor_nine_in_ten() -> None:
+    once = with_best(evidence(), -150.0, (math.nan, math.nan))
+    table = agreement_table(once)
+    assert not table["apart"].any()
+    assert [row["apart"] for row in correlation_rows(table)] == ["unknown"]
+    assert "those of its one seed reach -150.0 or more" in only(once).sentences[0]
+
+
+def test_nothing_comparable_has_no_correlations() -> None:
     assert correlation_rows(agreement_table(evidence(thesis={}))) == []
 
 
