@@ -1,6 +1,6 @@
 """Every command of README.md and docs/ is run, or, where it is marked as long, understood.
 
-Commands stand in blocks of the language ``bash``. A comment that begins with ``long:`` marks one
+Commands stand in blocks of the language ``bash``. A comment that begins with ``long`` marks one
 that takes too much time, or serves until Ctrl-C: its words go to the command's own parser alone.
 All others run, in a project folder with the log of a furnace.
 """
@@ -30,7 +30,8 @@ from tests.flows.furnace import as_csv, furnace, write_schema
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "yaml", "text", "json", "toml", "html"}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
-DASHBOARD = "optuna-dashboard"
+SERVERS = ("mlflow", "optuna-dashboard")
+"""Programs of other packages; they serve until Ctrl-C."""
 
 # A module that other tests have imported runs anew, which is what `python -m` does.
 pytestmark = pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
@@ -60,7 +61,7 @@ def commands_in(text: str) -> list[Command]:
         for line in content.replace("\\\n", " ").splitlines() if language == "bash" else ():
             words = shlex.split(line, comments=True)
             if words:
-                found.append(Command(tuple(words), "# long:" in line))
+                found.append(Command(tuple(words), bool(re.search(r"# long\b", line))))
     return found
 
 
@@ -129,7 +130,7 @@ def python_module(module: str, words: Sequence[str], long: bool, patch: pytest.M
         text = source.read_text(encoding="utf-8")
         assert re.search(r'run_door\(|main\("|parse_args\(', text), f"{module} has no parser"
         stop_after_parsing(patch)
-    if "furnace" not in " ".join(words):
+    if not any("furnace" in word for word in words):
         return run_module(module, words, patch)
     with settings_of_its_own(patch):
         if "--describe" not in words:
@@ -148,9 +149,8 @@ def extras_of(requirement: str) -> set[str]:
 
 def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
     """Run a command, or understand it."""
-    optional = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
-        "optional-dependencies"
-    ]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    optional = project["optional-dependencies"]
     match command.words:
         case ("python", "-m", module, *words):
             python_module(module, words, command.long, patch)
@@ -162,8 +162,9 @@ def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
             assert command.long
         case ("export", assignment):
             assert re.fullmatch(r"[A-Z_]+=\S+", assignment)
-        case (program, *_) if program == DASHBOARD:
-            assert any(DASHBOARD in line for line in optional["dashboard"])
+        case (program, *_) if program in SERVERS:
+            needed = [*project["dependencies"], *optional["dashboard"]]
+            assert any(re.match(rf"{program}\b", line) for line in needed)
             assert command.long
         case _:
             pytest.fail(f"No test knows how to check the command {shlex.join(command.words)}.")
@@ -171,8 +172,11 @@ def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
 
 def test_every_block_says_what_it_is() -> None:
     for page in PAGES:
-        languages = {language for language, _ in blocks(page.read_text(encoding="utf-8"))}
-        assert languages <= LANGUAGES, page.name
+        text = page.read_text(encoding="utf-8")
+        languages = {language for language, _ in blocks(text)}
+        assert languages <= LANGUAGES, f"{page.name}: commands stand in blocks of ```bash"
+        indented = re.findall(r"^(?: {4}|\t)(?:python|make|pip) .*", text, re.M)
+        assert indented == [], f"{page.name}: commands stand in blocks of ```bash"
 
 
 def test_there_are_commands_of_both_kinds() -> None:
