@@ -30,7 +30,7 @@ from tests.flows.furnace import as_csv, furnace, write_schema
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "yaml", "text", "json", "toml", "html"}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
-SERVERS = ("mlflow", "optuna-dashboard")
+SERVERS = ("mkdocs", "mlflow", "optuna-dashboard")
 """Programs of other packages; they serve until Ctrl-C."""
 
 # A module that other tests have imported runs anew, which is what `python -m` does.
@@ -152,6 +152,10 @@ def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     optional = project["optional-dependencies"]
     match command.words:
+        case ("python", "-m", program, *_) | (program, *_) if program in SERVERS:
+            needed = [*project["dependencies"], *optional["dashboard"], *optional["docs"]]
+            assert any(re.match(rf"{program}\b", line) for line in needed)
+            assert command.long
         case ("python", "-m", module, *words):
             python_module(module, words, command.long, patch)
         case ("make", target):
@@ -162,10 +166,6 @@ def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
             assert command.long
         case ("export", assignment):
             assert re.fullmatch(r"[A-Z_]+=\S+", assignment)
-        case (program, *_) if program in SERVERS:
-            needed = [*project["dependencies"], *optional["dashboard"]]
-            assert any(re.match(rf"{program}\b", line) for line in needed)
-            assert command.long
         case _:
             pytest.fail(f"No test knows how to check the command {shlex.join(command.words)}.")
 
