@@ -107,7 +107,7 @@ def compare(cells: Iterable[Node]) -> Comparison:
     used = "".join(value.marks for value in thesis.values())
     footnotes = {
         _OTHER_DISCOUNT: "discounted with 0.99 in the thesis and with 0.97 here: the same policies "
-        "have much lower returns there (README, Results).",
+        "have much lower returns there (docs/results.md).",
         _REDUCED: _reduced(own for pair, own in differences.items() if pair in thesis),
         _OTHER_LOG: "the thesis's robots were logged by other experts: a hint, no comparison.",
     }

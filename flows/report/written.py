@@ -8,7 +8,7 @@ from components.core.files import write_text
 from components.reporting.documents import latex_document, markdown_document
 from components.reporting.evidence import Evidence
 from components.reporting.page import page
-from components.reporting.published import publish
+from components.reporting.policies import policy_table
 from components.reporting.static_figures import static_figures
 
 __all__ = ["Format", "write_files"]
@@ -25,7 +25,7 @@ _FILES = {
 def write_files(
     folder: Path, evidence: Evidence, kind: Format, *, figures: bool = False
 ) -> Sequence[Path]:
-    """Write a report and the data behind it.
+    """Write a report and the returns of its policies.
 
     Args:
         folder: Made if needed.
@@ -40,7 +40,9 @@ def write_files(
     text = make(evidence)  # before the folder is touched
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / name, text)
-    files = [folder / name, *publish(folder, evidence)]
+    policies = folder / "policies.parquet"
+    policy_table(evidence).to_parquet(policies, index=False)
+    files = [folder / name, policies]
     if figures:
         (folder / "figures").mkdir(exist_ok=True)
         for title, figure in static_figures(evidence):

@@ -43,7 +43,7 @@ def test_all_formats_are_made_of_the_store_alone(
     assert sorted(smoke.store.rglob("*")) == before, "nothing is written there"
     assert "15 of 15 cells are finished." in capsys.readouterr().out
     names = {path.name for path in out.iterdir()}
-    assert names == {"report.html", "report.md", "report.tex", "policies.parquet", "about.json"}
+    assert names == {"report.html", "report.md", "report.tex", "policies.parquet"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "What it cost" in page
     assert "No value of the thesis stands beside returns of 20 steps" in page
