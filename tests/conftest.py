@@ -25,6 +25,8 @@ TOGETHER = {
     "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/test_notebooks.py": "ray",
+    "tests/components/reporting/test_page.py": "a browser",
+    "tests/flows/report/test_report_door.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",
