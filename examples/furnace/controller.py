@@ -58,4 +58,6 @@ class Operators:
         drawn = rng.uniform(-1, 1, (count, 2)) * rule.by_hand
         self._change = np.where(begins[:, None], drawn, self._change)
         manual = (self._left > 0) & self._hands
-        return (by_rule + self._change * manual[:, None]).clip(*np.array([*BOUNDS.values()]).T), manual
+        return (by_rule + self._change * manual[:, None]).clip(
+            *np.array([*BOUNDS.values()]).T
+        ), manual
