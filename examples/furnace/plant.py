@@ -128,7 +128,8 @@ class Furnaces:
         self._drift()
         wrong = (self._temperature - prices.wanted) / 10
         scrap = prices.scrap * self._throughput * wrong**2
-        return -_HOURS * (prices.gas * self._gas + prices.unburned * unburned) - scrap
+        per_hour = prices.gas * self._gas + prices.unburned * unburned
+        return np.asarray(-_HOURS * per_hour - scrap)
 
     def _wanted_gas(self, set_point: Numbers) -> Numbers:
         """Gas that the PI controller wants."""

@@ -9,6 +9,7 @@ import os
 import shlex
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +22,7 @@ from examples.furnace.trial import operators_trial, policy_trials
 __all__ = ["main"]
 
 _SCHEMA: Final = Path(__file__).with_name("furnace.yaml")
+_DRAFT: Final = "--describe"  # writes a draft of the schema to look at, and imports nothing
 _ALGORITHMS: Final = ("bc", "td3_bc", "lion")
 _SEEDS: Final = (0, 1)
 _PROXIMITIES: Final = tuple(n / 10 for n in range(11))  # those of the judges
@@ -60,27 +62,22 @@ def main() -> None:
     log = folder / "furnace.csv"
     write_log(log, sizes["shifts"], sizes["rows"], seed=0)
     print(f"The plant's historian has written {log}.", flush=True)
-    chosen = [
-        "datasets=[furnace]",
-        f"store={folder / 'mlruns'}",
-        *budgets,
-    ]
-    _command(folder, "import_log", str(log), "name=furnace", f"schema={folder / 'draft.yaml'}",
-             "--describe")  # fmt: skip
-    _command(folder, "import_log", str(log), "name=furnace", f"schema={_SCHEMA}")
-    _command(folder, "rank_datasets", "sweep=furnace", *chosen)
-    _command(folder, "full_benchmark", "sweep=furnace", *chosen,
-             f"algorithms=[{','.join(_ALGORITHMS)}]", f"seeds=[{','.join(map(str, _SEEDS))}]")  # fmt: skip
-    for algorithm in _ALGORITHMS:
-        for seed in _SEEDS:
-            _command(folder, "export_policy", f"run={algorithm}/furnace/seed{seed}",
-                     f"to={_exported(folder, algorithm, seed)}", f"store={folder / 'mlruns'}")  # fmt: skip
+    store = f"store={folder / 'mlruns'}"
+    chosen = ("datasets=[furnace]", "sweep=furnace", store, *budgets)
+    _command(folder, "import_log", log, "name=furnace", f"schema={folder / 'draft.yaml'}", _DRAFT)
+    _command(folder, "import_log", log, "name=furnace", f"schema={_SCHEMA}")
+    _command(folder, "rank_datasets", *chosen)
+    learners = (f"algorithms=[{','.join(_ALGORITHMS)}]", f"seeds=[{','.join(map(str, _SEEDS))}]")
+    _command(folder, "full_benchmark", *chosen, *learners)
+    for algorithm, seed in product(_ALGORITHMS, _SEEDS):
+        run, to = f"{algorithm}/furnace/seed{seed}", _exported(folder, algorithm, seed)
+        _command(folder, "export_policy", f"run={run}", f"to={to}", store)
     _try_on_the_plant(folder, sizes)
 
 
-def _command(folder: Path, door: str, *words: str) -> None:
+def _command(folder: Path, door: str, *words: str | Path) -> None:
     """Run a command of the project, or end as it did."""
-    command = [sys.executable, "-m", f"flows.{door}", *words]
+    command = [sys.executable, "-m", f"flows.{door}", *map(str, words)]
     print(f"\n$ {shlex.join(['python', *command[1:]])}", flush=True)
     done = subprocess.run(
         command, env=os.environ | {"PROXIMITY_BENCH_HOME": str(folder)}, check=False
@@ -102,8 +99,7 @@ def _try_on_the_plant(folder: Path, sizes: dict[str, Any]) -> None:
             policy_trials(_exported(folder, algorithm, seed), _PROXIMITIES, **protocol).assign(
                 algorithm=algorithm, seed=seed
             )
-            for algorithm in _ALGORITHMS
-            for seed in _SEEDS
+            for algorithm, seed in product(_ALGORITHMS, _SEEDS)
         ],
         ignore_index=True,
     )

@@ -109,6 +109,6 @@ def policy_trials(
     takes = "proximity" in Exported(path, None).card["inputs"]
     rows = []
     for proximity in proximities if takes else [None]:
-        act = Exported(path, proximity).act
-        rows.append({"proximity": proximity} | returns_of(act, shifts, **protocol))
-    return pd.DataFrame(rows).astype({"proximity": float})
+        found = returns_of(Exported(path, proximity).act, shifts, **protocol)
+        rows.append({"proximity": np.nan if proximity is None else proximity, **found})
+    return pd.DataFrame(rows)
