@@ -27,7 +27,7 @@ class Rule:
     hotter: float = 1.0  # ... by so many kelvin a tonne,
     more_air: float = 0.1  # and so much of the ratio
     habits: tuple[float, float] = (2.0, 0.15)  # deviation of the shifts
-    by_hand: tuple[float, float] = (18.0, 1.2)  # largest change
+    by_hand: tuple[float, float] = (25.0, 1.2)  # largest change
     begins: float = 0.04  # chance of a hand in a step without one
     stays: tuple[int, int] = (8, 30)  # steps
 

@@ -142,7 +142,7 @@ class Furnaces:
     def _excess(self) -> Numbers:
         """Air there is, as a share of the air that is needed."""
         needed = self._physics.air_needed * self._quality * self._gas
-        return (self._air + self._leak) / needed
+        return np.asarray((self._air + self._leak) / needed)
 
     def _unburned_share(self) -> Numbers:
         """Mean shortage of air where its local excess is normally distributed."""

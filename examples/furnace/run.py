@@ -9,9 +9,10 @@ import os
 import shlex
 import subprocess
 import sys
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pandas as pd
 
@@ -23,19 +24,29 @@ __all__ = ["main"]
 
 _SCHEMA: Final = Path(__file__).with_name("furnace.yaml")
 _DRAFT: Final = "--describe"  # writes a draft of the schema to look at, and imports nothing
-_ALGORITHMS: Final = ("bc", "td3_bc", "lion")
-_SEEDS: Final = (0, 1)
 _PROXIMITIES: Final = tuple(n / 10 for n in range(11))  # those of the judges
 _PROTOCOL: Final = {"horizon": 100, "discount": 0.97}  # of the judges' estimates, too
 
-_SIZES: Final[dict[str, Any]] = {"shifts": 60, "rows": 300, "tried": 100}
+
+@dataclass(frozen=True)
+class _Sizes:
+    """How much of everything."""
+
+    shifts: int  # in the log
+    rows: int  # of a shift
+    tried: int  # shifts of the trial, for every policy and proximity
+    algorithms: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+_SIZES: Final = _Sizes(60, 300, 100, ("bc", "td3_bc", "lion"), (0, 1))
 _BUDGETS: Final = (
     "profile=quick",
     "algorithm.lion.updates=150",
     "model.recurrent_ensemble.updates=1000",
     "model.recurrent_ensemble.learning_rate=0.01",
 )
-_SMALL_SIZES: Final[dict[str, Any]] = {"shifts": 8, "rows": 100, "tried": 3}
+_SMALL_SIZES: Final = _Sizes(8, 100, 3, ("bc", "lion"), (0,))
 _SMALL_BUDGETS: Final = (
     "profile=smoke",
     "model.recurrent_ensemble.warm_up=10",
@@ -60,16 +71,16 @@ def main() -> None:
     sizes, budgets = (_SMALL_SIZES, _SMALL_BUDGETS) if given.small else (_SIZES, _BUDGETS)
 
     log = folder / "furnace.csv"
-    write_log(log, sizes["shifts"], sizes["rows"], seed=0)
+    write_log(log, sizes.shifts, sizes.rows, seed=0)
     print(f"The plant's historian has written {log}.", flush=True)
     store = f"store={folder / 'mlruns'}"
     chosen = ("datasets=[furnace]", "sweep=furnace", store, *budgets)
     _command(folder, "import_log", log, "name=furnace", f"schema={folder / 'draft.yaml'}", _DRAFT)
     _command(folder, "import_log", log, "name=furnace", f"schema={_SCHEMA}")
     _command(folder, "rank_datasets", *chosen)
-    learners = (f"algorithms=[{','.join(_ALGORITHMS)}]", f"seeds=[{','.join(map(str, _SEEDS))}]")
-    _command(folder, "full_benchmark", *chosen, *learners)
-    for algorithm, seed in product(_ALGORITHMS, _SEEDS):
+    algorithms, seeds = ",".join(sizes.algorithms), ",".join(map(str, sizes.seeds))
+    _command(folder, "full_benchmark", *chosen, f"algorithms=[{algorithms}]", f"seeds=[{seeds}]")
+    for algorithm, seed in product(sizes.algorithms, sizes.seeds):
         run, to = f"{algorithm}/furnace/seed{seed}", _exported(folder, algorithm, seed)
         _command(folder, "export_policy", f"run={run}", f"to={to}", store)
     _try_on_the_plant(folder, sizes)
@@ -90,16 +101,16 @@ def _exported(folder: Path, algorithm: str, seed: int) -> Path:
     return folder / "policies" / f"{algorithm}-{seed}.onnx"
 
 
-def _try_on_the_plant(folder: Path, sizes: dict[str, Any]) -> None:
+def _try_on_the_plant(folder: Path, sizes: _Sizes) -> None:
     """Run everything on the plant and hold the judges to it."""
-    protocol = {"shifts": sizes["tried"], "rows": sizes["rows"], **_PROTOCOL}
+    protocol = {"shifts": sizes.tried, "rows": sizes.rows, **_PROTOCOL}
     operators = operators_trial(**protocol)
     trials = pd.concat(
         [
             policy_trials(_exported(folder, algorithm, seed), _PROXIMITIES, **protocol).assign(
                 algorithm=algorithm, seed=seed
             )
-            for algorithm, seed in product(_ALGORITHMS, _SEEDS)
+            for algorithm, seed in product(sizes.algorithms, sizes.seeds)
         ],
         ignore_index=True,
     )
