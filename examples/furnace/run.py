@@ -25,7 +25,6 @@ __all__ = ["main"]
 _SCHEMA: Final = Path(__file__).with_name("furnace.yaml")
 _DRAFT: Final = "--describe"  # writes a draft of the schema to look at, and imports nothing
 _PROXIMITIES: Final = tuple(n / 10 for n in range(11))  # those of the judges
-_PROTOCOL: Final = {"horizon": 100, "discount": 0.97}  # of the judges' estimates, too
 
 
 @dataclass(frozen=True)
@@ -103,13 +102,12 @@ def _exported(folder: Path, algorithm: str, seed: int) -> Path:
 
 def _try_on_the_plant(folder: Path, sizes: _Sizes) -> None:
     """Run everything on the plant and hold the judges to it."""
-    protocol = {"shifts": sizes.tried, "rows": sizes.rows, **_PROTOCOL}
-    operators = operators_trial(**protocol)
+    operators = operators_trial(sizes.tried, sizes.rows)
     trials = pd.concat(
         [
-            policy_trials(_exported(folder, algorithm, seed), _PROXIMITIES, **protocol).assign(
-                algorithm=algorithm, seed=seed
-            )
+            policy_trials(
+                _exported(folder, algorithm, seed), _PROXIMITIES, sizes.tried, sizes.rows
+            ).assign(algorithm=algorithm, seed=seed)
             for algorithm, seed in product(sizes.algorithms, sizes.seeds)
         ],
         ignore_index=True,

@@ -24,6 +24,10 @@ Act = Callable[[Numbers], Numbers]
 
 _WEATHER: Final = 12345
 """Seed of the furnaces of the trial, which no log has seen."""
+_HORIZON: Final = 100
+"""Steps that count for a return, as they do for judges."""
+_DISCOUNT: Final = 0.97
+"""Of a return, as in the schema of the log."""
 
 
 class Exported:
@@ -63,15 +67,13 @@ class Exported:
         return chosen
 
 
-def returns_of(act: Act, shifts: int, rows: int, horizon: int, discount: float) -> dict[str, float]:
+def returns_of(act: Act, shifts: int, rows: int) -> dict[str, float]:
     """Let somebody run furnaces for a shift each.
 
     Args:
         act: Who.
         shifts: How many furnaces.
         rows: Steps of a shift.
-        horizon: Steps that count for the return, as they do for judges.
-        discount: Of the return.
 
     Returns:
         Means over the furnaces: discounted `return`, its `standard_error`, `euros_per_hour` of the
@@ -83,8 +85,8 @@ def returns_of(act: Act, shifts: int, rows: int, horizon: int, discount: float) 
         settings.append(act(readings[-1]))
         profits.append(furnaces.step(*settings[-1].T))
     earned, read, chosen = np.array(profits), np.array(readings), np.array(settings)
-    counted = earned[:horizon]
-    returns = (counted * discount ** np.arange(len(counted))[:, None]).sum(axis=0)
+    counted = earned[:_HORIZON]
+    returns = (counted * _DISCOUNT ** np.arange(len(counted))[:, None]).sum(axis=0)
     return {
         "return": float(returns.mean()),
         "standard_error": float(returns.std(ddof=1) / shifts**0.5),
@@ -96,19 +98,17 @@ def returns_of(act: Act, shifts: int, rows: int, horizon: int, discount: float) 
     }
 
 
-def operators_trial(shifts: int, **protocol: Any) -> dict[str, float]:
+def operators_trial(shifts: int, rows: int) -> dict[str, float]:
     """The operators on the furnaces of the trial, see :func:`returns_of`."""
     operators = Operators(shifts, _WEATHER)
-    return returns_of(lambda readings: operators.act(readings)[0], shifts, **protocol)
+    return returns_of(lambda readings: operators.act(readings)[0], shifts, rows)
 
 
-def policy_trials(
-    path: Path, proximities: Sequence[float], shifts: int, **protocol: Any
-) -> pd.DataFrame:
+def policy_trials(path: Path, proximities: Sequence[float], shifts: int, rows: int) -> pd.DataFrame:
     """An exported policy on the furnaces of the trial, at each proximity if it takes one."""
     takes = "proximity" in Exported(path, None).card["inputs"]
-    rows = []
+    trials = []
     for proximity in proximities if takes else [None]:
-        found = returns_of(Exported(path, proximity).act, shifts, **protocol)
-        rows.append({"proximity": np.nan if proximity is None else proximity, **found})
-    return pd.DataFrame(rows)
+        found = returns_of(Exported(path, proximity).act, shifts, rows)
+        trials.append({"proximity": np.nan if proximity is None else proximity, **found})
+    return pd.DataFrame(trials)
