@@ -296,7 +296,8 @@ def _say(imported: Imported, settings: ImportSettings) -> None:
     print(
         f"{settings.name}: {dataset.transitions:,} transitions in {dataset.episodes:,} episodes, "
         f"mean return {dataset.card.first_window_return_mean:.5g}; {_shown(settings.folder)} has "
-        f"them and {_REPORT}. Next: python -m flows.full_benchmark datasets=[{settings.name}]"
+        f"them and {_REPORT}. Next, for minutes: python -m flows.full_benchmark profile=quick "
+        f"datasets=[{settings.name}]"
     )
 
 
