@@ -27,7 +27,7 @@ class Rule:
     hotter: float = 1.0  # ... by so many kelvin a tonne,
     more_air: float = 0.1  # and so much of the ratio
     habits: tuple[float, float] = (2.0, 0.15)  # deviation of the shifts
-    by_hand: tuple[float, float] = (25.0, 1.2)  # largest change
+    ratio_by_hand: float = 1.2  # largest change of the ratio
     begins: float = 0.04  # chance of a hand in a step without one
     stays: tuple[int, int] = (8, 30)  # steps
 
@@ -38,11 +38,12 @@ class Operators:
     Args:
         count: Of furnaces.
         seed: Of everything random.
-        hands: Whether they interfere, or leave it to the rule.
+        boldness: Kelvin by which they change the set point at most.
     """
 
-    def __init__(self, count: int, seed: int, *, hands: bool = True) -> None:
-        self._rng, self._rule, self._hands = np.random.default_rng(seed), Rule(), hands
+    def __init__(self, count: int, seed: int, boldness: float) -> None:
+        self._rng, self._rule = np.random.default_rng(seed), Rule()
+        self._most = np.array([boldness, self._rule.ratio_by_hand])
         self._habit = self._rng.normal(0, self._rule.habits, (count, 2))
         self._change = np.zeros((count, 2))
         self._left = np.zeros(count, int)
@@ -55,9 +56,9 @@ class Operators:
         by_rule = usual + self._habit + np.outer(faster, [rule.hotter, rule.more_air])
         begins = (self._left == 0) & (rng.random(count) < rule.begins)
         self._left = np.where(begins, rng.integers(*rule.stays, count), self._left - 1).clip(0)
-        drawn = rng.uniform(-1, 1, (count, 2)) * rule.by_hand
+        drawn = rng.uniform(-1, 1, (count, 2)) * self._most
         self._change = np.where(begins[:, None], drawn, self._change)
-        manual = (self._left > 0) & self._hands
+        manual = self._left > 0
         return (by_rule + self._change * manual[:, None]).clip(
             *np.array([*BOUNDS.values()]).T
         ), manual

@@ -11,19 +11,20 @@ from examples.furnace.plant import BOUNDS, FEATURES, STEP, Furnaces
 __all__ = ["logged", "write_log"]
 
 
-def logged(shifts: int, rows: int, seed: int) -> pd.DataFrame:
+def logged(shifts: int, rows: int, boldness: float, seed: int) -> pd.DataFrame:
     """Simulate shifts of the furnace, each from another morning on.
 
     Args:
         shifts: How many.
         rows: Of each.
+        boldness: Of the operators, see :class:`.Operators`.
         seed: Of everything random.
 
     Returns:
         Rows of all shifts, one after the other. All values of a row belong to one moment, so the
         profit in it is that of the 30 seconds before.
     """
-    furnaces, operators = Furnaces(shifts, seed), Operators(shifts, seed + 1)
+    furnaces, operators = Furnaces(shifts, seed), Operators(shifts, seed + 1, boldness)
     settings, _ = operators.act(furnaces.read())
     profit = furnaces.step(*settings.T)  # before the log begins
     moments = []
@@ -43,8 +44,8 @@ def logged(shifts: int, rows: int, seed: int) -> pd.DataFrame:
     return table.astype({"manual": int})
 
 
-def write_log(path: Path, shifts: int, rows: int, seed: int) -> pd.DataFrame:
+def write_log(path: Path, shifts: int, rows: int, boldness: float, seed: int) -> pd.DataFrame:
     """Write the log of some shifts as CSV and return it."""
-    table = logged(shifts, rows, seed)
+    table = logged(shifts, rows, boldness, seed)
     table.to_csv(path, index=False)
     return table

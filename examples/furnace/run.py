@@ -61,6 +61,8 @@ def main() -> None:
     """Run all steps."""
     parser = argparse.ArgumentParser(prog="python -m examples.furnace.run", description=__doc__)
     parser.add_argument("--folder", type=Path, default=Path("furnace-example"), help="of all files")
+    about = "kelvin by which operators change the set point at most"
+    parser.add_argument("--boldness", type=float, default=25.0, help=about)
     parser.add_argument("--small", action="store_true", help="with next to no training, for tests")
     given = parser.parse_args()
     folder: Path = given.folder.absolute()
@@ -70,7 +72,7 @@ def main() -> None:
     sizes, budgets = (_SMALL_SIZES, _SMALL_BUDGETS) if given.small else (_SIZES, _BUDGETS)
 
     log = folder / "furnace.csv"
-    write_log(log, sizes.shifts, sizes.rows, seed=0)
+    write_log(log, sizes.shifts, sizes.rows, given.boldness, seed=0)
     print(f"The plant's historian has written {log}.", flush=True)
     store = f"store={folder / 'mlruns'}"
     chosen = ("datasets=[furnace]", "sweep=furnace", store, *budgets)
@@ -82,7 +84,7 @@ def main() -> None:
     for algorithm, seed in product(sizes.algorithms, sizes.seeds):
         run, to = f"{algorithm}/furnace/seed{seed}", _exported(folder, algorithm, seed)
         _command(folder, "export_policy", f"run={run}", f"to={to}", store)
-    _try_on_the_plant(folder, sizes)
+    _try_on_the_plant(folder, sizes, given.boldness)
 
 
 def _command(folder: Path, door: str, *words: str | Path) -> None:
@@ -100,9 +102,9 @@ def _exported(folder: Path, algorithm: str, seed: int) -> Path:
     return folder / "policies" / f"{algorithm}-{seed}.onnx"
 
 
-def _try_on_the_plant(folder: Path, sizes: _Sizes) -> None:
+def _try_on_the_plant(folder: Path, sizes: _Sizes, boldness: float) -> None:
     """Run everything on the plant and hold the judges to it."""
-    operators = operators_trial(sizes.tried, sizes.rows)
+    operators = operators_trial(sizes.tried, sizes.rows, boldness)
     trials = pd.concat(
         [
             policy_trials(

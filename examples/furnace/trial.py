@@ -98,9 +98,9 @@ def returns_of(act: Act, shifts: int, rows: int) -> dict[str, float]:
     }
 
 
-def operators_trial(shifts: int, rows: int) -> dict[str, float]:
+def operators_trial(shifts: int, rows: int, boldness: float) -> dict[str, float]:
     """The operators on the furnaces of the trial, see :func:`returns_of`."""
-    operators = Operators(shifts, _WEATHER)
+    operators = Operators(shifts, _WEATHER, boldness)
     return returns_of(lambda readings: operators.act(readings)[0], shifts, rows)
 
 

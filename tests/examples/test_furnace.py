@@ -15,7 +15,7 @@ from examples.furnace.plant import BOUNDS, FEATURES
 from examples.furnace.trial import operators_trial, returns_of
 from tests.conftest import ROOT
 
-SHIFTS, ROWS = 40, 150
+SHIFTS, ROWS, BOLDNESS = 40, 150, 25.0
 
 
 def constant(set_point: float, ratio: float) -> dict[str, float]:
@@ -32,12 +32,12 @@ def test_leaner_air_saves_money_as_far_as_the_cliff() -> None:
 
 
 def test_there_is_more_to_gain_than_the_operators_do() -> None:
-    operators, best = operators_trial(SHIFTS, ROWS), constant(1150, 11)
+    operators, best = operators_trial(SHIFTS, ROWS, BOLDNESS), constant(1150, 11)
     assert best["return"] > operators["return"] + 5 * operators["standard_error"]
 
 
 def test_the_profit_of_a_row_is_that_of_the_step_before() -> None:
-    log = logged(2, 50, seed=3)
+    log = logged(2, 50, BOLDNESS, seed=3)
     assert list(log.columns) == [
         "time", "shift", *FEATURES, *BOUNDS, "manual", "profit",
     ]  # fmt: skip
@@ -47,7 +47,7 @@ def test_the_profit_of_a_row_is_that_of_the_step_before() -> None:
     error = {rows: (log["profit"].shift(rows) + lost).abs().mean() for rows in (-1, 0, 1)}
     assert error[0] < 0.06  # noise of the readings
     assert min(error[-1], error[1]) > 1.2 * error[0]
-    pd.testing.assert_frame_equal(log, logged(2, 50, seed=3))
+    pd.testing.assert_frame_equal(log, logged(2, 50, BOLDNESS, seed=3))
 
 
 def judged(returns: list[float], **estimates: list[float]) -> tuple[pd.DataFrame, pd.DataFrame]:
