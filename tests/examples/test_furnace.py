@@ -87,6 +87,7 @@ def test_all_steps_run_and_write_nothing_into_the_project(tmp_path: Path) -> Non
     assert done.returncode == 0, done.stderr
     for door in ("import_log", "rank_datasets", "full_benchmark", "export_policy"):
         assert f"$ python -m flows.{door} " in done.stdout
+    assert "order of the datasets" not in done.stdout  # there is one
     table = pd.read_csv(folder / "comparison.csv")
     assert table["algorithm"].tolist() == ["bc"] + ["lion"] * 11
     assert np.isfinite(table[["return", "model", "fitted_q", "outside"]]).all(axis=None)
