@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-__all__ = ["borne_out", "comparison", "comparison_figure"]
+__all__ = ["borne_out", "chosen", "comparison", "comparison_figure"]
 
 _KEYS: Final = ["algorithm", "seed", "proximity"]
 _ESTIMATES: Final = {
@@ -45,6 +45,25 @@ def borne_out(joined: pd.DataFrame) -> pd.DataFrame:
             for kind, some in (("all", joined), ("lion", lion))
         }
         rows.append({"estimate": words, **correlations})
+    return pd.DataFrame(rows)
+
+
+def chosen(joined: pd.DataFrame) -> pd.DataFrame:
+    """What would have been chosen by every score of the judges, and what it does on the plant.
+
+    Returns:
+        By `score`: the best `algorithm` and `proximity` in the mean of the seeds, with `return` and
+        `euros_per_hour` on the plant; the last row is the best in truth.
+    """
+    keys = ["algorithm", "proximity"]
+    scores = [name for name in joined.columns if name.startswith("score_")]
+    truth = ["return", "euros_per_hour"]
+    means = joined.groupby(keys, dropna=False)[[*scores, *truth]].mean().reset_index()
+    rows = []
+    for name in [*scores, "return"]:
+        row = means.iloc[int(means[name].to_numpy().argmax())]
+        words = "(truth)" if name == "return" else name.removeprefix("score_")
+        rows.append({"score": words, **{str(key): row[key] for key in [*keys, *truth]}})
     return pd.DataFrame(rows)
 
 

@@ -16,7 +16,7 @@ from typing import Final
 
 import pandas as pd
 
-from examples.furnace.compare import borne_out, comparison, comparison_figure
+from examples.furnace.compare import borne_out, chosen, comparison, comparison_figure
 from examples.furnace.log import write_log
 from examples.furnace.trial import operators_trial, policy_trials
 
@@ -126,6 +126,8 @@ def _try_on_the_plant(folder: Path, sizes: _Sizes, boldness: float) -> None:
     print(", ".join(f"{name} {value:.2f}" for name, value in operators.items()))
     print("\nSpearman's rank correlations of the estimates with the return on the plant:\n")
     print(borne_out(joined).round(2).to_string(index=False))
+    print("\nWhat would have been chosen by each score of the judges:\n")
+    print(chosen(joined).round(2).to_string(index=False))
     print(f"\nAll numbers and the figure: {folder / 'comparison.csv'}, comparison.png")
 
 

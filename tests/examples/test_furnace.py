@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from examples.furnace.compare import borne_out, comparison, comparison_figure
+from examples.furnace.compare import borne_out, chosen, comparison, comparison_figure
 from examples.furnace.log import logged
 from examples.furnace.plant import BOUNDS, FEATURES
 from examples.furnace.trial import operators_trial, returns_of
@@ -57,7 +57,7 @@ def judged(returns: list[float], **estimates: list[float]) -> tuple[pd.DataFrame
     )
     empty = {name: returns for name in ("model", "fitted_q", "score_cautious_1", "outside")}
     judgements = keys.assign(true_return=np.nan, **{**empty, **estimates})
-    return judgements, keys.assign(**{"return": returns})
+    return judgements, keys.assign(**{"return": returns}, euros_per_hour=returns)
 
 
 def test_estimates_are_ranked_beside_the_plant() -> None:
@@ -65,6 +65,12 @@ def test_estimates_are_ranked_beside_the_plant() -> None:
     joined = comparison(judgements, trials)
     found = borne_out(joined)["all"].tolist()
     assert found == pytest.approx([1, -1, 1, -1])  # of what is outside, less is better
+    joined["score_odd"] = [0.0, 1.0, 2.0]
+    table = chosen(joined).set_index("score")
+    assert table["proximity"].to_dict() == {
+        "cautious_1": 0.5, "odd": 1.0, "(truth)": 0.5,
+    }  # fmt: skip
+    assert table.loc["odd", "euros_per_hour"] == -2.0
     figure = comparison_figure(joined, {"return": -2.5})
     above, below = figure.axes
     assert len(above.lines) == 4
