@@ -9,9 +9,9 @@ All policies learn in one stack of lanes, several replicas of each. What a polic
 states does not change while its critic learns: it is computed once.
 
 Rewards are standardised. Without terminal states their mean is taken off, too, which leaves the
-critics only the differences between states to learn; it is added again in the end. No value is above
-that of the log's best reward for ever, or below that of its worst: targets are clipped to this range,
-without which critics of actions far from the log grow without bound.
+critics only the differences between states to learn; it is added again in the end. No value is
+above that of the log's best reward for ever, or below that of its worst: targets are clipped to
+this range, without which critics of actions far from the log grow without bound.
 """
 
 import math
