@@ -14,6 +14,7 @@ NOT_FINITE = "not_finite"
 """Tag of a run with the names of its metrics that are infinite or no number."""
 
 _CHUNK = {"metrics": 1000, "params": 100, "tags": 100}  # MLflow's limits for one log_batch
+_TOGETHER = 1000
 _TAG_LENGTH = 5000
 _DIGEST_LENGTH = 36  # MLflow's limit
 
@@ -21,7 +22,7 @@ _DIGEST_LENGTH = 36  # MLflow's limit
 def log_batches(
     client: Any,
     run_id: str,
-    metrics: Iterable[tuple[str, float, int, int]] = (),
+    metrics: Iterable[tuple[Any, ...]] = (),
     params: Mapping[str, str] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
@@ -33,7 +34,8 @@ def log_batches(
     Args:
         client: An MlflowClient.
         run_id: The run.
-        metrics: (name, value, milliseconds since 1970, step).
+        metrics: (name, value, milliseconds since 1970, step); a listed model's also with the
+            model's id, the name and the digest of its data set, and the run's id.
         params: Parameters by name.
         tags: Tags by name.
     """
@@ -46,18 +48,21 @@ def log_batches(
         "params": [Param(*param) for param in (params or {}).items()],
         "tags": [RunTag(*tag) for tag in tags.items()],
     }
-    for name, entries in parts.items():
-        for at in range(0, len(entries), _CHUNK[name]):
-            client.log_batch(run_id, **{name: entries[at : at + _CHUNK[name]]})
+    while any(parts.values()):
+        # One call takes 1,000 entries in all.
+        batch, room = {}, _TOGETHER
+        for name in ("params", "tags", "metrics"):
+            batch[name] = parts[name][: min(room, _CHUNK[name])]
+            parts[name] = parts[name][len(batch[name]) :]
+            room -= len(batch[name])
+        client.log_batch(run_id, **batch)
 
 
-def split_finite(
-    metrics: Iterable[tuple[str, float, int, int]],
-) -> tuple[list[tuple[str, float, int, int]], str]:
+def split_finite(metrics: Iterable[tuple[Any, ...]]) -> tuple[list[tuple[Any, ...]], str]:
     """The metrics that are finite numbers, and the others as a text.
 
     Args:
-        metrics: (name, value, milliseconds since 1970, step).
+        metrics: Each begins with its name and its value.
 
     Returns:
         Such metrics, and e.g. `loss: inf at 3 of 5 steps, size: nan`.
