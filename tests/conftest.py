@@ -29,6 +29,7 @@ TOGETHER = {
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_leftovers.py": "an empty database",
+    "tests/flows/pipeline/tracking/test_mlflow_board.py": "an empty database",
     "tests/flows/tuning/test_tuned_models.py": "tuned models",
 }
 

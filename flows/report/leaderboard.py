@@ -175,8 +175,8 @@ def _note(
 ) -> str:
     policies = "policy" if last == 1 else f"{last} policies"
     text = (
-        f"**{label}** on **{dataset}**, seed {seed}: the last {policies} of the {len(returns)} that "
-        f"its training handed out, each by its mean return over {returns.shape[-1]} trajectories "
+        f"**{label}** on **{dataset}**, seed {seed}: the last {policies} of the {len(returns)} "
+        f"that its training handed out, each by its mean over {returns.shape[-1]} trajectories "
         "in the real system. The tenth percentile is that of this seed's own policies; the table "
         "of a sweep, and the thesis, pool those of all seeds."
     )

@@ -25,6 +25,7 @@ from flows.pipeline.sweep_records import SweepRecord
 __all__ = ["Orphan", "RecordedRun", "find_orphans", "freed_bytes"]
 
 _DAY = 86400.0
+_MODELS = "models"  # folder in which MLflow keeps the models that were logged, see export_policy
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _leftovers(store: ArtifactStore, runs: Sequence[RecordedRun] | None) -> Iter
             yield Orphan("leftover", "work that was never begun", (folder,))
     if runs is None:
         return
-    known = {run.id for run in runs}
+    known = {run.id for run in runs} | {_MODELS}
     for folder in _entries(store.root / "artifacts"):
         if folder.name not in known and not folder.name.startswith("."):
             yield Orphan("leftover", f"files of the run {folder.name}, which is gone", (folder,))

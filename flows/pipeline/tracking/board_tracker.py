@@ -12,7 +12,7 @@ __all__ = ["BoardTracker"]
 
 
 class BoardTracker:
-    """A tracker that records the row of every node that has one, as soon as the node is finished."""
+    """Records the row of every node that has one, as soon as the node is finished."""
 
     def __init__(self, tracker: Tracker, board: Board) -> None:
         """Takes what records and what says the rows."""

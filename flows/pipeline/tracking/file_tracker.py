@@ -1,8 +1,9 @@
 """Sweeps as JSON lines: STORE/tracking/SWEEP.jsonl, for people, `jq` and `pandas.read_json`.
 
 Every line is an event with its `time` in seconds since 1970 and what it is `about`: `open`, `node`,
-`failure`, `row` or `close`. An event is written unless the newest one about the same thing is equal, so a
-sweep that is run again adds nothing, and a node that failed and then finished has two lines.
+`failure`, `row` or `close`. An event is written unless the newest one about the same thing is
+equal, so a sweep that is run again adds nothing, and a node that failed and then finished has two
+lines.
 """
 
 import json

@@ -75,11 +75,11 @@ class MlflowBoard:
 
     def _write(self, row: Row, tags: Mapping[str, str], runs: Mapping[str, str]) -> str:
         client, now = self.experiment.client, int(1000 * time.time())
-        note = row.note + self._links(row.nodes, runs)
         tags = self.experiment.common | dict(row.tags) | dict(tags)
-        tags |= {"role": "row", "mlflow.note.content": note}
+        tags |= {"role": "row", "mlflow.note.content": row.note}
         tags |= {f"key.{role}": node.key for role, node in row.nodes.items()}
         tags = {name: without_secrets(text) for name, text in tags.items()}
+        tags["mlflow.note.content"] += self._links(row.nodes, runs)  # ends addresses with queries
         run = client.create_run(self.experiment.id, run_name=row.name, tags=tags)
         run_id = str(run.info.run_id)
         model = self._list_model(row, tags, runs) if row.model else None
@@ -118,7 +118,8 @@ class MlflowBoard:
         lines = []
         for role, node in nodes.items():
             page = f"#/experiments/{self._ledger.id}/runs/{runs.get(node.key)}"
-            link = f"[{node.name}]({page}), [files]({page}/artifacts)"
+            of = "?workflowType=machine_learning"
+            link = f"[{node.name}]({page}{of}), [files]({page}/artifacts{of})"
             known = link if node.key in runs else node.name
             lines.append(f"- {role}: {known}, `nodes/{node.key}`")
         return "\n\n" + "\n".join(lines)

@@ -14,12 +14,12 @@ from typing import Any
 from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
+from flows.pipeline.tracking.board import View
 from flows.pipeline.tracking.mlflow_address import StoreAddress, path_of
 from flows.pipeline.tracking.mlflow_errors import refusal
 from flows.pipeline.tracking.mlflow_leftovers import close_leftovers
 from flows.pipeline.tracking.mlflow_moves import follow_move, former_place
 from flows.pipeline.tracking.mlflow_run import link_tree
-from flows.pipeline.tracking.board import View
 from flows.pipeline.tracking.mlflow_setup import (
     ABOUT,
     EXPERIMENT,

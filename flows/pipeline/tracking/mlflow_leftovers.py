@@ -11,8 +11,8 @@ def close_leftovers(experiment: Any) -> None:
     """Closes the open runs of this store that no living process writes; the caller is alone.
 
     A node's run is written from beginning to end by a process that is alone, so an open one is half
-    written. That of a trial or a row of the leaderboard is removed, because it is written again. A sweep's or search's
-    own run is open for as long as its process holds the sweep's lock.
+    written. That of a trial or a row of the leaderboard is removed, because it is written again. A
+    sweep's or search's own run is open for as long as its process holds the sweep's lock.
 
     Args:
         experiment: The MlflowExperiment.

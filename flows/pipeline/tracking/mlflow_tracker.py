@@ -135,6 +135,10 @@ class MlflowTracker:
             self._runs[node.key] = (run_id, written)
             return True
 
+    def run_of(self, node: Node) -> str:
+        """Id of the run of a node that is recorded."""
+        return self._runs[node.key][0]
+
     def log_failure(self, node: Node, reason: str) -> None:
         """Records a failed node with its traceback.
 

@@ -54,15 +54,13 @@ def saved_views(tags: Mapping[str, str]) -> dict[str, str]:
     return {key: str(name) for key, name in names.items() if name}
 
 
-def view_query(key: str, *, charts: bool) -> str:
-    """The end of the address of a view.
+def view_query(key: str) -> str:
+    """The end of the address of a view, with its charts beside the table.
 
     Args:
         key: Of the view.
-        charts: Whether its charts are shown beside the table.
     """
-    mode = "&compareRunsMode=CHART" if charts else ""
-    return f"viewStateShareKey={quote(key)}{mode}"
+    return f"viewStateShareKey={quote(key)}&compareRunsMode=CHART"
 
 
 def _envelope(text: str) -> dict[str, Any]:

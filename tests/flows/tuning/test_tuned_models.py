@@ -370,7 +370,12 @@ def test_pruned_failed_and_reused_trials_are_runs_too(
     states = {number: run.data.tags["state"] for number, run in by_number.items()}
     assert states[0] == "INTERRUPTED"
     assert sorted(states.values()) == ["COMPLETE"] * 5 + ["FAIL", "INTERRUPTED", "PRUNED"]
-    status = {"COMPLETE": "FINISHED", "FAIL": "FAILED", "PRUNED": "KILLED", "INTERRUPTED": "KILLED"}
+    status = {
+        "COMPLETE": "FINISHED",
+        "FAIL": "FAILED",
+        "PRUNED": "FINISHED",
+        "INTERRUPTED": "KILLED",
+    }
     roles: dict[str, list[str]] = {}
     for number, run in by_number.items():
         tags = run.data.tags
