@@ -18,7 +18,9 @@ arrays. Whatever is wrong is a ValueError of one sentence.
 
 from components.data.dataset import OfflineDataset
 from proximity_bench.datasets import dataset
-from proximity_bench.policies import Policy, load
+from proximity_bench.judging import judge, split
+from proximity_bench.policies import Policy
+from proximity_bench.stored import load
 from proximity_bench.training import train
 
-__all__ = ["OfflineDataset", "Policy", "dataset", "load", "train"]
+__all__ = ["OfflineDataset", "Policy", "dataset", "judge", "load", "split", "train"]

@@ -1,11 +1,10 @@
 """Policies as a program uses them: NumPy in, NumPy out, in the units of the log."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,21 +13,26 @@ import torch
 from torch import Tensor
 
 from components.core.files import replacing, write_text
-from components.core.integrity import DamagedFileError, load_json
 from components.core.random_streams import lane_generator, lane_key
 from components.data.card import DatasetCard
+from components.data.dataset import OfflineDataset
 from components.data.history import history_rows
+from components.data.recorded_states import plant_of, recorded_states
 from components.environments.systems import SYSTEMS
 from components.evaluation.protocol import EvaluationProtocol
 from components.evaluation.real import evaluate_policies
+from components.policies.export import export_policy
 from components.policies.policy import Policy as StoredPolicy
+from components.policies.portable import Plant
+from components.policies.portable_check import Checked, drawn_states
 from proximity_bench.progress import progress_bars
 
-__all__ = ["Policy", "load"]
+__all__ = ["BEHAVIOUR", "FORMAT", "ORIGIN", "Policy"]
 
-_FORMAT: Final = "proximity_bench/1"
-_ORIGIN: Final = "origin.json"
-_BEHAVIOUR: Final = "behaviour"
+FORMAT: Final = "proximity_bench/1"
+ORIGIN: Final = "origin.json"
+BEHAVIOUR: Final = "behaviour"
+"""Names in the folder of a saved policy, and the format of its origin."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,14 +209,52 @@ class Policy:
             raise ValueError(f"{folder} is not empty; remove it or save the policy elsewhere.")
         folder.parent.mkdir(parents=True, exist_ok=True)
         log = None if self.log is None else json.loads(self.log.to_json())
-        origin = {"format": _FORMAT, "seed": self.seed, "log": log}
+        origin = {"format": FORMAT, "seed": self.seed, "log": log}
         with replacing(folder) as made:
             made.mkdir()
             if self.behaviour is not None:
-                (made / _BEHAVIOUR).mkdir()
-                self.behaviour.save(made / _BEHAVIOUR)
-            write_text(made / _ORIGIN, json.dumps(origin, indent=2) + "\n")
+                (made / BEHAVIOUR).mkdir()
+                self.behaviour.save(made / BEHAVIOUR)
+            write_text(made / ORIGIN, json.dumps(origin, indent=2) + "\n")
             self.stack.save(made)
+
+    def export(
+        self, path: str | Path, log: OfflineDataset | None = None, *, overwrite: bool = False
+    ) -> Checked:
+        """Write one file that acts as this policy without this project, see docs/export.md.
+
+        The file is compared with the policy first, and not kept if it differs.
+
+        Args:
+            path: Ends in `.onnx` or `.pt2`.
+            log: In whose recorded states it is compared; without one, the states are drawn from the
+                moments of the policy's own scaling, and the file says so.
+            overwrite: Whether it may replace a file that is there.
+
+        Returns:
+            How well the file agrees.
+
+        Raises:
+            ValueError: Another ending, a file that is there, a package that is missing, a log that
+                has other features, or a file that differs.
+        """
+        if log is not None and log.card.frame_features != self.features:
+            raise ValueError(f"The log {log.card.name} has other features; give {self._wanted}.")
+        newest, card = self._newest, self.log or (log.card if log is not None else None)
+        if card is None:
+            names = tuple(f"action {n}" for n in range(newest.card.actions))
+            plant = Plant(actions=names)
+        else:
+            plant = plant_of(card)
+        states = drawn_states(newest) if log is None else recorded_states(log, self.history)
+        return export_policy(
+            newest,
+            Path(path).expanduser(),
+            plant,
+            states,
+            {"seed": self.seed},
+            overwrite=overwrite,
+        )
 
     @cached_property
     def _newest(self) -> StoredPolicy:
@@ -284,49 +326,3 @@ class Policy:
             return None
         shape = (1, machines, card.candidates, card.noise)
         return torch.from_numpy((noise or self._noise).standard_normal(shape, np.float32))
-
-
-def load(folder: str | Path) -> Policy:
-    """Read a policy: what `Policy.save` wrote, or a sweep's `nodes/KEY/policy`.
-
-    Raises:
-        FileNotFoundError: There is none.
-        ValueError: It is damaged.
-    """
-    folder = Path(folder).expanduser()
-    stack = StoredPolicy.load(folder)
-    seed, log = _of_sweep(folder) if not (folder / _ORIGIN).exists() else _origin(folder / _ORIGIN)
-    if log is not None and (log.frame_features, log.history) != (
-        stack.card.features,
-        stack.card.history,
-    ):
-        said = f"{folder} holds a policy of {stack.card.dataset} and the card of another log"
-        raise DamagedFileError(said, folder, "save the policy again")
-    behaviour = folder / _BEHAVIOUR
-    return Policy(stack, seed, log, StoredPolicy.load(behaviour) if behaviour.is_dir() else None)
-
-
-def _origin(path: Path) -> tuple[int, DatasetCard | None]:
-    """Seed and log of a saved policy."""
-    origin: Any = load_json(path)
-    try:
-        if origin["format"] != _FORMAT:
-            raise ValueError(f"its format is {origin['format']!r}, not {_FORMAT!r}")
-        return int(origin["seed"]), _card(origin["log"], path)
-    except (KeyError, TypeError, ValueError) as error:
-        said = f"{path} cannot be used ({str(error).rstrip('.')})"
-        raise DamagedFileError(said, path, "save the policy again") from error
-
-
-def _card(fields: Mapping[str, Any] | None, path: Path) -> DatasetCard | None:
-    return None if fields is None else DatasetCard.from_json(json.dumps(fields), path)
-
-
-def _of_sweep(folder: Path) -> tuple[int, DatasetCard | None]:
-    """Seed and log of a policy in a store, as far as they are to be found."""
-    record = folder.parent / "node.json"
-    if not record.is_file():
-        return 0, None
-    node: Any = load_json(record)
-    card = folder.parents[1] / str(node["inputs"].get("dataset")) / "dataset" / "card.json"
-    return int(node["config"]["seed"]), DatasetCard.load(card) if card.is_file() else None

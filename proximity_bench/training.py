@@ -28,7 +28,7 @@ from proximity_bench.datasets import PROFILE
 from proximity_bench.policies import Policy
 from proximity_bench.progress import Begin, progress_bars
 
-__all__ = ["train"]
+__all__ = ["chosen_device", "fit_model", "train"]
 
 _SNAPSHOTS: Final = 20  # as in a sweep
 
@@ -105,7 +105,7 @@ def train(
     chosen = _settings(log, algorithm, seeds, models or {}, snapshots or 1, settings)
     record = ALGORITHMS[algorithm]
     budget = chosen.algorithm_on(log.card.name, algorithm).updates
-    where = _device(device)
+    where = chosen_device(device)
     keep_freed_memory()
     with (
         tempfile.TemporaryDirectory(prefix="proximity_bench-") as folder,
@@ -113,7 +113,7 @@ def train(
     ):
         work = Path(folder)
         fitted = {
-            name: _fit(name, config, log, where, work, begin)
+            name: fit_model(name, config, log, where, work, begin)
             for name, config in _models(chosen, log.card.name, record).items()
         }
         found = _train(
@@ -181,7 +181,12 @@ def _models(settings: Settings, dataset: str, record: Algorithm[Any]) -> dict[st
     return {name: own.get(name, settings.model_on(dataset, name)) for name in record.needs}
 
 
-def _device(name: str) -> torch.device:
+def chosen_device(name: str) -> torch.device:
+    """The device of a name.
+
+    Raises:
+        ValueError: It is unknown, or not there.
+    """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name not in ("cpu", "cuda"):
@@ -191,10 +196,16 @@ def _device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def _fit(
-    name: str, config: Any, log: OfflineDataset, device: torch.device, work: Path, begin: Begin
+def fit_model(
+    name: str,
+    config: Any,
+    log: OfflineDataset,
+    device: torch.device,
+    work: Path,
+    begin: Begin,
+    seed: int = 0,
 ) -> Any:
-    """A fitted model, read from the disk as a sweep does; all seeds share it."""
+    """A fitted model, read from the disk as a sweep does; policies of all seeds share it."""
     folder = work / name
     try:
         fit_into(
@@ -202,7 +213,7 @@ def _fit(
             name,
             log,
             config,
-            0,
+            seed,
             device=device,
             checkpoint=work / f"{name}.safetensors",
             monitor=Monitor(begin(name)),

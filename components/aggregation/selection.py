@@ -119,7 +119,7 @@ def quality(table: pd.DataFrame, behaviour_return: float) -> pd.DataFrame:
         rows.append(
             {
                 "score": name,
-                "spearman": float(spearmanr(score, true).statistic),
+                "spearman": _correlation(score, true),
                 "regret_1": regret[0],
                 "regret_5": regret[1],
                 "relative_regret_1": regret[0] / spread if spread else 0.0,
@@ -129,6 +129,13 @@ def quality(table: pd.DataFrame, behaviour_return: float) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def _correlation(score: np.ndarray, true: np.ndarray) -> float:
+    """Spearman's; NaN where one of both does not vary."""
+    if not np.ptp(score) or not np.ptp(true):
+        return float("nan")
+    return float(spearmanr(score, true).statistic)
 
 
 def _share(of: np.ndarray, among: np.ndarray) -> float:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from components.core.files import replacing, write_text
 from components.core.integrity import DamagedFileError, MissingFileError
 from components.data.card import REMEDY, DatasetCard
+from components.data.history import history_rows
 from components.data.validity import check_card, check_log
 
 __all__ = ["OfflineDataset", "array_digest"]
@@ -92,6 +93,20 @@ class OfflineDataset:
         """`[N]` row of the first frame of each transition's episode."""
         starts = self.episode_starts[:-1] + np.arange(self.episodes, dtype=np.int64)
         return np.repeat(starts, np.diff(self.episode_starts))
+
+    def spread_histories(self, number: int, frames: int) -> NDArray[np.float32]:
+        """Recorded histories, evenly over the log.
+
+        Args:
+            number: Of histories; of a shorter log, all.
+            frames: H, of each.
+
+        Returns:
+            `[number, H, F]`, the newest frame first.
+        """
+        chosen = np.linspace(0, self.transitions - 1, min(number, self.transitions)).astype(int)
+        rows = history_rows(self.frame_rows()[chosen], self.first_rows()[chosen], frames)
+        return np.asarray(self.frames[rows])
 
     def with_history(self, frames: int) -> "OfflineDataset":
         """The same log with observations of fewer frames; 0 leaves them as they are.

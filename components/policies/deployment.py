@@ -15,7 +15,7 @@ from components.networks.gaussian import LOG_STD_RANGE
 from components.networks.stacked import Activation, first_layer_over_actions
 from components.networks.variational import LATENT_CLIP
 
-__all__ = ["KINDS", "Layers"]
+__all__ = ["KINDS", "Layers", "critic_values"]
 
 Layers = tuple[tuple[Tensor, Tensor], ...]
 """Weights ``[P, in, out]`` and biases ``[P, 1, out]`` from input to output; the activation between
@@ -45,6 +45,11 @@ def _best_candidate(critic: Layers, x: Tensor, candidates: Tensor) -> Tensor:
     values = _apply_over(critic, x, candidates).squeeze(-1)
     best = values.nan_to_num(nan=-torch.inf).argmax(dim=-1)[..., None, None]
     return candidates.gather(2, best.expand(-1, -1, 1, candidates.shape[-1])).squeeze(2)
+
+
+def critic_values(networks: Networks, x: Tensor, actions: Tensor) -> Tensor:
+    """Values ``[P, B]`` of actions ``[P, B, A]``, as those that choose candidates see them."""
+    return _apply_over(networks["critic"], x, actions[:, :, None])[..., 0, 0]
 
 
 def _tanh(networks: Networks, x: Tensor, noise: Tensor | None, perturbation: float) -> Tensor:

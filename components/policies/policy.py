@@ -11,104 +11,24 @@ caller supplies the normal noise, so that a policy's actions depend on its own r
 """
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final
 
 import torch
 from torch import Tensor
 
-from components.core.cards import CardFormat
 from components.core.files import write_text
 from components.core.integrity import DamagedFileError
 from components.core.normaliser import Normaliser
 from components.core.tensors import load_tensors, save_tensors
-from components.policies.deployment import KINDS, Layers
+from components.policies.card import CARDS, FORMAT, PolicyCard
+from components.policies.deployment import KINDS, Layers, critic_values
 
 __all__ = ["PROXIMITY_SCALING", "Policy", "PolicyCard"]
 
-FORMAT: Final = "policy/2"
-_STORED_NAMES: Final = MappingProxyType({"takes_proximity": "takes_lambda"})
-"""Fields that have another name in `policy.json`."""
 PROXIMITY_SCALING = Normaliser(torch.tensor([0.5]), torch.tensor([0.2887]))
 """Moments of a uniform proximity, as LION's reference implementation scales its input."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PolicyCard:
-    """What a policy artifact is.
-
-    Attributes:
-        algorithm: Name of the learner.
-        dataset: Name of the dataset it learned from.
-        features: Names of a frame's features, in order.
-        history: Frames in an observation, newest first; before the start the first one repeats.
-        actions: Width of the action, every entry in [-1, 1].
-        takes_proximity: Whether the proximity parameter is an input.
-        steps: Training step of every stored snapshot, one per lane.
-        kind: How it acts, a name in :data:`~components.policies.deployment.KINDS`.
-        candidates: N, actions drawn per state; 0 if the policy is deterministic.
-        noise: Width of the normal noise from which a candidate is made.
-        perturbation: Largest change BCQ's actor may make to a generated action.
-        ended_at: Update by which a loss, a weight or an action in the log's states had become
-            infinite or undefined and learning ended; the snapshots after it repeat the last finite
-            one. None: training used the whole budget.
-    """
-
-    algorithm: str
-    dataset: str
-    features: tuple[str, ...]
-    history: int
-    actions: int
-    takes_proximity: bool
-    steps: tuple[int, ...]
-    kind: str = "tanh"
-    candidates: int = 0
-    noise: int = 0
-    perturbation: float = 0.0
-    ended_at: int | None = None
-
-    def __post_init__(self) -> None:
-        """Reject an unknown kind of policy.
-
-        Raises:
-            ValueError: Naming the known kinds.
-        """
-        if self.kind not in KINDS:
-            raise ValueError(f"it acts by {self.kind!r}, known are {', '.join(KINDS)}")
-
-    @classmethod
-    def load(cls, path: Path) -> "PolicyCard":
-        """Read ``policy.json``.
-
-        Raises:
-            FileNotFoundError: If there is none.
-            ValueError: If it is damaged or of another format.
-        """
-        return _CARDS.read(path)
-
-    def to_json(self) -> str:
-        """The text of ``policy.json``."""
-        values = {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
-        return json.dumps({"format": FORMAT, **values}, indent=2, allow_nan=False) + "\n"
-
-
-def _amend(values: dict[str, Any]) -> None:
-    for name, stored in _STORED_NAMES.items():
-        if stored in values:
-            values[name] = values.pop(stored)
-
-
-_CARDS: Final = CardFormat(
-    kind=PolicyCard,
-    what="policy",
-    remedy="train the policy again",
-    version=("format", FORMAT),
-    amend=_amend,
-)
 
 
 @dataclass(frozen=True)
@@ -154,9 +74,9 @@ class Policy:
     @classmethod
     def concatenate(cls, card: PolicyCard, parts: Sequence["Policy"]) -> "Policy":
         """Stack policies of one kind and of equal shapes under one card."""
-        tensors = [part._tensors() for part in parts]
+        tensors = [part.tensors() for part in parts]
         joined = {name: torch.cat([t[name] for t in tensors]) for name in tensors[0]}
-        return cls._of_tensors(card, joined)
+        return cls.of_tensors(card, joined)
 
     @property
     def lanes(self) -> int:
@@ -171,7 +91,7 @@ class Policy:
     @property
     def finite(self) -> Tensor:
         """Whether all numbers of a policy are finite, ``[P]``."""
-        flat = [t.flatten(1).isfinite().all(dim=1) for t in self._tensors().values()]
+        flat = [t.flatten(1).isfinite().all(dim=1) for t in self.tensors().values()]
         return torch.stack(flat).all(dim=0)
 
     def lane(self, number: int, card: PolicyCard) -> "Policy":
@@ -180,11 +100,11 @@ class Policy:
 
     def select(self, lanes: slice, card: PolicyCard) -> "Policy":
         """Some policies of the stack."""
-        return self._of_tensors(card, {n: t[lanes] for n, t in self._tensors().items()})
+        return self.of_tensors(card, {n: t[lanes] for n, t in self.tensors().items()})
 
     def to(self, device: torch.device) -> "Policy":
         """The same on another device."""
-        return self._of_tensors(self.card, {n: t.to(device) for n, t in self._tensors().items()})
+        return self.of_tensors(self.card, {n: t.to(device) for n, t in self.tensors().items()})
 
     @torch.no_grad()
     def act(
@@ -211,12 +131,22 @@ class Policy:
             if (given is not None) != wanted:
                 says = "needs" if wanted else "does not take"
                 raise ValueError(f"A policy of {self.card.algorithm} {says} {what}.")
-        mean, scale = self.frames.mean[:, None, None], self.frames.scale[:, None, None]
-        x = ((histories - mean) / scale).flatten(start_dim=2)
-        if proximity is not None:
-            scaled = (proximity - self.proximity_scaling.mean) / self.proximity_scaling.scale
-            x = torch.cat([x, scaled[..., None]], dim=-1)
+        x = self._observed(histories, proximity)
         return KINDS[self.card.kind](self.networks, x, noise, self.card.perturbation)
+
+    @torch.no_grad()
+    def values(self, histories: Tensor, actions: Tensor, proximity: Tensor | None = None) -> Tensor:
+        """What the critic of policies that choose among candidates thinks of other actions.
+
+        Args:
+            histories: ``[P, B, H, F]`` raw frames, newest first.
+            actions: ``[P, B, A]`` in [-1, 1].
+            proximity: As in :meth:`act`.
+
+        Returns:
+            ``[P, B]``.
+        """
+        return critic_values(self.networks, self._observed(histories, proximity), actions)
 
     def save(self, folder: Path) -> None:
         """Write the artifact into an existing folder; ``policy.json`` appears last.
@@ -224,7 +154,7 @@ class Policy:
         Raises:
             ValueError: If a number is infinite or undefined: such a policy is never stored.
         """
-        if wrong := _undefined(self._tensors()):
+        if wrong := _undefined(self.tensors()):
             raise ValueError(
                 f"A policy of {self.card.algorithm} on {self.card.dataset} is not finite in "
                 f"{wrong}, so it is not stored."
@@ -235,7 +165,7 @@ class Policy:
             "networks": {r: len(n) for r, n in self.networks.items()},
             "card": hashlib.sha256(text.encode()).hexdigest(),
         }
-        save_tensors(folder / "weights.safetensors", self._tensors(), header)
+        save_tensors(folder / "weights.safetensors", self.tensors(), header)
         write_text(folder / "policy.json", text, durable=True)
 
     @classmethod
@@ -252,18 +182,18 @@ class Policy:
         tensors, header = load_tensors(weights)
         if "card" in header and header["card"] != hashlib.sha256(path.read_bytes()).hexdigest():
             said = f"{path} is damaged (it is not the card that {weights.name} was written with)"
-            raise DamagedFileError(said, path, _CARDS.remedy)
+            raise DamagedFileError(said, path, CARDS.remedy)
         if wrong := _undefined(tensors):
-            raise DamagedFileError(f"{weights} is not finite in {wrong}", weights, _CARDS.remedy)
+            raise DamagedFileError(f"{weights} is not finite in {wrong}", weights, CARDS.remedy)
         try:
             for role, count in header["networks"].items():
                 for name in (f"{role}.{n}.{p}" for n in range(count) for p in ("weight", "bias")):
                     tensors[name]
-            return cls._of_tensors(card, tensors)
+            return cls.of_tensors(card, tensors)
         except (KeyError, AttributeError, TypeError) as error:
-            raise DamagedFileError(f"{weights} lacks {error}", weights, _CARDS.remedy) from error
+            raise DamagedFileError(f"{weights} lacks {error}", weights, CARDS.remedy) from error
 
-    def _tensors(self) -> dict[str, Tensor]:
+    def tensors(self) -> dict[str, Tensor]:
         """All tensors by stored name, lane axis first."""
         tensors = {
             "frames.mean": self.frames.mean,
@@ -278,7 +208,12 @@ class Policy:
         return tensors
 
     @classmethod
-    def _of_tensors(cls, card: PolicyCard, tensors: Mapping[str, Tensor]) -> "Policy":
+    def of_tensors(cls, card: PolicyCard, tensors: Mapping[str, Tensor]) -> "Policy":
+        """The policies whose :meth:`tensors` these are.
+
+        Raises:
+            KeyError: One is missing.
+        """
         networks: dict[str, Layers] = {}
         numbered = [name.split(".") for name in tensors if name.endswith(".weight")]
         for role, number in sorted((role, int(number)) for role, number, _ in numbered):
@@ -289,6 +224,15 @@ class Policy:
         if "actor" not in networks:
             raise KeyError("actor")
         return cls(card, networks, frames, proximity_scaling)
+
+    def _observed(self, histories: Tensor, proximity: Tensor | None) -> Tensor:
+        """What the networks see, ``[P, B, O]``."""
+        mean, scale = self.frames.mean[:, None, None], self.frames.scale[:, None, None]
+        x = ((histories - mean) / scale).flatten(start_dim=2)
+        if proximity is None:
+            return x
+        scaled = (proximity - self.proximity_scaling.mean) / self.proximity_scaling.scale
+        return torch.cat([x, scaled[..., None]], dim=-1)
 
 
 def _undefined(tensors: Mapping[str, Tensor]) -> str:

@@ -7,11 +7,11 @@ from typing import Any, Literal
 from components.algorithms import ALGORITHMS
 from components.data.sizes import weights
 from components.data.sources.stored_log import StoredLog
-from flows.configuration.settings import Settings, SettingsError
+from flows.configuration.schema import Settings
 from flows.pipeline.plan import Node
 from flows.planning.costs import data_sizes
 from flows.planning.nodes import jsonable, model_node
-from flows.planning.sizes import check_model
+from flows.planning.sizes import suits
 
 __all__ = [
     "JUDGE_MODELS",
@@ -27,6 +27,9 @@ JUDGE_MODELS = ("behaviour_policy", "recurrent_ensemble")
 
 _CRITIC, _ACTION = 2e-10, 6e-11
 """Core-seconds of a weight in an update of critics, for each transition, and when a policy acts."""
+
+JUDGE_SEED = 1
+"""Of the judges' fits; policies of all seeds share the fits of seed 0, unless each has its own."""
 
 LEAST_EPISODES = 4
 """Of a log that is divided: both parts need two, since models hold out one."""
@@ -68,22 +71,13 @@ def judge_models(
     dataset = whole.tags["dataset"]
     part, sizes = part_node(settings, whole, "judge"), data_sizes(settings.dataset[dataset])
     models = {
-        name: model_node(name, configs[dataset, name], dataset, part, sizes)
+        name: model_node(name, configs[dataset, name], dataset, part, sizes, JUDGE_SEED)
         for name in JUDGE_MODELS
-        if _suits(settings, dataset, configs[dataset, name])
+        if suits(settings, dataset, configs[dataset, name])
     }
     return {"dataset": part} | {
         name: replace(node, name=f"{node.name}/judge") for name, node in models.items()
     }
-
-
-def _suits(settings: Settings, dataset: str, config: Any) -> bool:
-    """Whether a log's episodes are long enough for a model, and its card tells what that needs."""
-    try:
-        check_model(settings, dataset, config)
-    except SettingsError:
-        return False
-    return True
 
 
 def judgement_node(

@@ -12,7 +12,7 @@ from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfi
 from flows.configuration.checking import SettingsError
 from flows.configuration.schema import Settings
 
-__all__ = ["check_algorithm", "check_model", "check_size"]
+__all__ = ["check_algorithm", "check_model", "check_size", "suits"]
 
 
 def check_model(settings: Settings, dataset: str, model: Any) -> None:
@@ -52,6 +52,15 @@ def check_model(settings: Settings, dataset: str, model: Any) -> None:
             f"{model.warm_up + model.horizon} of model.recurrent_ensemble; use longer episodes, or "
             "lower warm_up or horizon."
         )
+
+
+def suits(settings: Settings, dataset: str, model: Any) -> bool:
+    """Whether :func:`check_model` lets a model pass."""
+    try:
+        check_model(settings, dataset, model)
+    except SettingsError:
+        return False
+    return True
 
 
 def check_size(dataset: str, source: DatasetSource) -> None:

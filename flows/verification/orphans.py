@@ -25,7 +25,7 @@ from flows.pipeline.sweep_records import SweepRecord
 __all__ = ["Orphan", "RecordedRun", "find_orphans", "freed_bytes"]
 
 _DAY = 86400.0
-_MODELS = "models"  # folder in which MLflow keeps the models that were logged, see export_policy
+_MODELS = "models"  # where MLflow keeps the models that flows.export_policy records
 
 
 @dataclass(frozen=True)

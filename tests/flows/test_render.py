@@ -18,6 +18,7 @@ from flows import render
 from flows.command_line import run_door
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_setup import import_mlflow
+from flows.stored_policy import find_policy
 from tests.components.synthetic import constant_policy, make_log
 from tests.flows.pipeline.toys import record_of
 
@@ -145,9 +146,9 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
     client = import_mlflow().MlflowClient(tracking_uri=address)
     experiment = client.create_experiment("any", artifact_location=str(store.root))
     run = client.create_run(experiment, tags={"key": TWIN}).info.run_id
-    assert render.find_policy(store, run)["name"] == "bc/hopper/seed1"
+    assert find_policy(store, run)["name"] == "bc/hopper/seed1"
     with pytest.raises(render.SettingsError, match="holds no such finished run"):
-        render.find_policy(store, "0" * 32)
+        find_policy(store, "0" * 32)
 
 
 @pytest.mark.parametrize(
@@ -195,8 +196,8 @@ def test_a_name_of_several_runs_needs_a_key(store: ArtifactStore) -> None:
     store.path(again).mkdir()
     finish(store, again, "bc/hopper/seed0", "policy_training", dataset=DATA)
     with pytest.raises(render.SettingsError, match=f"give one of the keys {again}, {HOPPING}"):
-        render.find_policy(store, "bc/hopper/seed0")
-    assert render.find_policy(store, HOPPING)["key"] == HOPPING
+        find_policy(store, "bc/hopper/seed0")
+    assert find_policy(store, HOPPING)["key"] == HOPPING
 
 
 @pytest.mark.parametrize("word", ["proximity", "lambda"])

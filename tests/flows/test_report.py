@@ -15,11 +15,12 @@ from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
-from flows.render import find_policy, load_render_settings
+from flows.render import load_render_settings
 from flows.report import report
 from flows.report.films import film_notes
 from flows.report.graphs import graph_notes
 from flows.report.software import software_notes
+from flows.stored_policy import find_policy
 from tests.flows.pipeline.toys import record_of
 
 WORDS = [

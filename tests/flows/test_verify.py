@@ -309,6 +309,7 @@ def test_runs_without_artifacts_and_files_without_runs(
     stray = store.root / "artifacts" / ("0" * 32)
     stray.mkdir()
     (stray / "file").write_bytes(b"x" * 1000)
+    (store.root / "artifacts" / "models" / "m-1").mkdir(parents=True)  # a recorded policy
     gone = store.path(keys(plan)["sum"])
     doomed = tmp_path / "elsewhere"
     gone.rename(doomed)
@@ -324,7 +325,8 @@ def test_runs_without_artifacts_and_files_without_runs(
     assert not stray.exists()
     left = {run.data.tags.get("key") for run in tracker.experiment.search("tags.role = 'node'")}
     assert left == {keys(plan)["source"]}
-    assert len(list((store.root / "artifacts").iterdir())) == 1
+    assert len(list((store.root / "artifacts").iterdir())) == 2
+    assert (store.root / "artifacts" / "models" / "m-1").is_dir()
     assert run(store) == 0
     assert "orphan" not in capsys.readouterr().out
 

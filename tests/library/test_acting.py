@@ -15,9 +15,11 @@ from components.core.integrity import DamagedFileError
 from components.core.normaliser import Normaliser
 from components.policies.policy import Policy as StoredPolicy
 from components.policies.policy import PolicyCard
+from components.policies.portable_files import FORMATS
+from tests.components.robot import make_robot_log
 from tests.components.synthetic import FEATURES, make_log
 
-LOG = make_log(history=4)
+LOG, ROBOT = make_log(history=4), make_robot_log("robot")
 BOUNDS = ((0.0, 100.0), (-5.0, 5.0), (10.0, 20.0))
 FRAMES = LOG.frames[:9]
 
@@ -184,3 +186,36 @@ def test_a_missing_policy_is_a_value_error_and_a_missing_file(tmp_path: Path) ->
 def test_only_registered_systems_can_evaluate() -> None:
     with pytest.raises(ValueError, match="toy names no registered system, so its policies cannot"):
         made().evaluate()
+
+
+@pytest.mark.parametrize("given", [None, LOG])
+def test_exported_it_acts_the_same_in_the_units_of_the_log(given: Any, tmp_path: Path) -> None:
+    policy = replace(made(), log=replace(LOG.card, action_bounds=BOUNDS))
+    path = tmp_path / "policy.pt2"
+    checked = policy.export(path, given)
+    assert checked.states == (1000 if given is None else LOG.transitions)
+    inputs = {"history": FRAMES[-4:][::-1][None].copy(), "proximity": np.float32([0.3])}
+    # float32 against the library's double precision
+    np.testing.assert_allclose(
+        FORMATS[".pt2"].read(path)(inputs)[0], policy.act(FRAMES, 0.3), rtol=1e-5, atol=1e-5
+    )
+    extra = {"card.json": ""}
+    torch.export.load(path, extra_files=extra)
+    card = json.loads(extra["card.json"])
+    assert (card["seed"], card["updates"]) == (7, 10)
+    said = "drawn from the moments of" if given is None else "recorded, evenly over toy"
+    assert card["check"]["source"].startswith(said)
+    with pytest.raises(ValueError, match=r"policy\.pt2 exists; name another file, or overwrite it"):
+        policy.export(path)
+    policy.export(path, overwrite=True)
+
+
+def test_an_export_of_a_policy_without_a_log_numbers_its_actions(tmp_path: Path) -> None:
+    extra = {"card.json": ""}
+    replace(made("bc"), log=None).export(tmp_path / "policy.pt2")
+    torch.export.load(tmp_path / "policy.pt2", extra_files=extra)
+    output = json.loads(extra["card.json"])["output"]
+    assert output["actions"] == ["action 0", "action 1", "action 2"]
+    assert output["units"] == "scaled to [-1, 1]"
+    with pytest.raises(ValueError, match=r"^The log robot has other features; give the 6 values"):
+        made("bc").export(tmp_path / "other.pt2", ROBOT)

@@ -103,8 +103,8 @@ def test_the_policies_and_returns_are_those_of_a_sweep(tmp_path: Path) -> None:
 
 def assert_equal(one: StoredPolicy, other: StoredPolicy) -> None:
     assert one.card == other.card
-    for name, tensor in one._tensors().items():
-        torch.testing.assert_close(tensor, other._tensors()[name], rtol=0, atol=0)
+    for name, tensor in one.tensors().items():
+        torch.testing.assert_close(tensor, other.tensors()[name], rtol=0, atol=0)
 
 
 @pytest.mark.slow(2)

@@ -43,10 +43,11 @@ ABOUT = {
 
 
 def import_mlflow() -> Any:
-    """Imports MLflow without telemetry, printed addresses and long retries."""
+    """Imports MLflow without telemetry, printed addresses, bars and long retries."""
     for name, value in {
         "MLFLOW_DISABLE_TELEMETRY": "true",
         "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+        "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
         # A server that is gone should be reported in seconds, not after minutes of retries.
         "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
         "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",

@@ -94,7 +94,8 @@ def test_the_judges_of_a_system_know_an_ensemble_and_are_asked_for() -> None:
     bc, lion = plan.by_component()["judgement"]
     assert set(lion.inputs) - set(bc.inputs) == {"trained_in"}
     own, judges = lion.inputs["trained_in"], lion.inputs["recurrent_ensemble"]
-    assert own.config == judges.config
+    assert own.config["settings"] == judges.config["settings"]
+    assert own.config["seed"] != judges.config["seed"]
     assert own.inputs["dataset"].config["part"] == "train"
     assert judges.inputs["dataset"].config["part"] == "judge"
 

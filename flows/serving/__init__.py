@@ -1,0 +1,1 @@
+"""Policies as models of MLflow, which serve without this project."""
