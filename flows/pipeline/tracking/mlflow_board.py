@@ -79,7 +79,8 @@ class MlflowBoard:
         tags |= {"role": "row", "mlflow.note.content": row.note}
         tags |= {f"key.{role}": node.key for role, node in row.nodes.items()}
         tags = {name: without_secrets(text) for name, text in tags.items()}
-        tags["mlflow.note.content"] += self._links(row.nodes, runs)  # ends addresses with queries
+        # Links of ours end in queries; they come first, because the page folds a long note.
+        tags["mlflow.note.content"] = self._links(row.nodes, runs) + tags["mlflow.note.content"]
         run = client.create_run(self.experiment.id, run_name=row.name, tags=tags)
         run_id = str(run.info.run_id)
         model = self._list_model(row, tags, runs) if row.model else None
@@ -121,8 +122,8 @@ class MlflowBoard:
             of = "?workflowType=machine_learning"
             link = f"[{node.name}]({page}{of}), [files]({page}/artifacts{of})"
             known = link if node.key in runs else node.name
-            lines.append(f"- {role}: {known}, `nodes/{node.key}`")
-        return "\n\n" + "\n".join(lines)
+            lines.append(f"- {role}: {known}")
+        return "\n".join(lines) + "\n\n"
 
 
 def _first_dataset(row: Row) -> tuple[str | None, str | None]:
