@@ -24,6 +24,7 @@ TOGETHER = {
     "tests/flows/tuning/test_ray.py": "ray",
     "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
+    "tests/flows/test_mlflow_pages.py": "ray",  # they share the smoke run
     "tests/test_notebooks.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
