@@ -141,7 +141,7 @@ def _search(
         place = tracker.show([study_view(study) for study in studies])
         for study in studies:
             study.describe(OBJECTIVE, study_note(study, settings.tuning.trials, place, command))
-            if study.ended:
+            if 0 < study.ended < settings.tuning.trials:
                 about = f"{study.specification.dataset} {study.specification.model}"
                 done = f"{study.ended} of {settings.tuning.trials} trials done"
                 console.note(f"{about}: continuing: {done}")
