@@ -4,6 +4,7 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
+from urllib.parse import quote
 
 from flows.pipeline.plan import Node
 from flows.pipeline.tracking.board import Entry, Row, View
@@ -42,6 +43,18 @@ class MlflowBoard:
     def prepare(self, views: Sequence[View]) -> None:
         """Saves views of the leaderboard, see `MlflowExperiment.prepare`."""
         self.experiment.prepare(views)
+
+    def link(self, sweep: str) -> str:
+        """Markdown that leads to the rows of a sweep.
+
+        Args:
+            sweep: Its name.
+        """
+        rows = quote(f"tags.`sweep.{sweep}` = 'listed'")
+        page = f"#/experiments/{self.experiment.id}/runs?workflowType=machine_learning"
+        order = quote("tags.`mlflow.runName`")
+        address = f"{page}&searchFilter={rows}&orderByKey={order}&orderByAsc=true"
+        return f"[Its results in the leaderboard]({address})"
 
     def log(self, entry: Entry, sweep: str, runs: Mapping[str, str]) -> None:
         """Writes a row; one that is there is marked as this sweep's, too.

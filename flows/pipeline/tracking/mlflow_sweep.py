@@ -85,6 +85,20 @@ class MlflowSweep:
         log_batches(client, run.info.run_id, params=new)
         return str(run.info.run_id)
 
+    def add_to_note(self, text: str) -> None:
+        """Adds a paragraph to the note of the parent run, if one is open.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        if self.run_id is None:
+            return
+        client, tag = self._experiment.client, "mlflow.note.content"
+        with self._experiment.writing():
+            note = client.get_run(self.run_id).data.tags.get(tag, "")
+            if text not in note:
+                client.set_tag(self.run_id, tag, f"{note}\n\n{text}".strip())
+
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
     ) -> None:

@@ -179,6 +179,7 @@ class MlflowTracker:
         self.experiment.prepare(view for view in views if not view.board)
         if any(view.board for view in views):
             self.board.prepare([view for view in views if view.board])
+            self.sweep.add_to_note(self.board.link(self.sweep.name))
 
     @property
     def board(self) -> MlflowBoard:

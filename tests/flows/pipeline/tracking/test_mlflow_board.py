@@ -13,6 +13,7 @@ from rich.console import Console
 
 from components.core.integrity import load_json
 from components.core.sealed import content_digest, read_record
+from flows import ui
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.json_lines import read_lines
@@ -23,6 +24,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.board import Entry, Row, View
 from flows.pipeline.tracking.board_tracker import BoardTracker
 from flows.pipeline.tracking.file_tracker import FileTracker
+from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_board import MlflowBoard
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
@@ -102,6 +104,12 @@ def test_a_row_is_a_flat_run_that_leads_to_its_nodes(home: Path) -> None:
         page = f"#/experiments/{tracker.experiment.id}/runs/{ids[made.key].info.run_id}"
         assert f"[{made.name}]({page}?workflowType=machine_learning)" in note
         assert f"({page}/artifacts?workflowType=machine_learning)" in note
+
+    [parent] = tracker.experiment.search("tags.role = 'sweep'")
+    assert (
+        "searchFilter=tags.%60sweep.first%60%20%3D%20%27listed%27"
+        in (parent.data.tags["mlflow.note.content"])
+    )
 
     [model] = models(tracker)
     assert (model.name, model.status) == ("toy_1_total_seed0", "READY")
@@ -210,6 +218,23 @@ def test_views_are_saved_once_and_replaced_when_they_change(home: Path) -> None:
     assert state["searchFilter"] == "params.dataset = 'bad-0.4'"
     assert state["selectedColumns"] == ["metrics.`a/b`"]
     assert [chart["metricKey"] for chart in state["compareRunCharts"]] == ["l"]
+
+
+def test_the_ui_prints_the_leaderboard_and_every_view(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep(home, MlflowTracker(home), small(home))
+    experiments = ui._experiments(StoreAddress(home))
+    page = "http://127.0.0.1:5001/#/experiments/{}/runs?workflowType=machine_learning"
+    view = "&viewStateShareKey={}&compareRunsMode=CHART"
+    assert ui._links(5001, *experiments) == [
+        f"Runs: {page.format(1)}",
+        f"Leaderboard: {page.format(2)}",
+        f"  All toys: {page.format(2)}{view.format('all')}",
+        f"  All nodes: {page.format(1)}{view.format('nodes')}",
+    ]
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{home}/other.db")
+    assert ui._links(5001, *ui._experiments(StoreAddress(home))) == ["Runs: http://127.0.0.1:5001"]
 
 
 def test_views_that_people_have_shared_without_a_name_are_not_listed() -> None:
