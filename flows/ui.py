@@ -75,7 +75,7 @@ def _links(port: int, experiment: Any, leaderboard: Any) -> list[str]:
     lines = [f"Runs: {runs_address(port, experiment)}"]
     if leaderboard is not None:
         lines.append(f"Leaderboard: {runs_address(port, leaderboard)}")
-    views = {}
+    views: dict[str, str] = {}
     for shown in (leaderboard, experiment):
         views |= {} if shown is None else view_addresses(port, shown)
     return [*lines, *(f"  {name}: {link}" for name, link in views.items())]
