@@ -22,7 +22,7 @@ IMAGES = Path(__file__).parent / "images"
 PORT = 5099
 WIDTH, HEIGHT = 1280, 800
 SECONDS = 8  # until charts are drawn
-COLOURS = 64  # of a picture: pages of plain areas, kept small
+COLOURS = 256  # of a picture: pages of plain areas, kept small
 
 
 def main() -> None:

@@ -37,8 +37,11 @@ class MlflowBoard:
         self.experiment = MlflowExperiment(ledger.root, source, LEADERBOARD)
         self._ledger = ledger
         with self.experiment.as_tracking_errors():
-            rows = self.experiment.search("tags.role = 'row'")
-            self._rows = {run.data.tags.get("about", ""): run for run in rows}
+            rows = list(self.experiment.search("tags.role = 'row'"))
+        # Id and tags of the run by what the row is about.
+        self._rows: dict[str, tuple[str, dict[str, str]]] = {
+            run.data.tags.get("about", ""): (run.info.run_id, dict(run.data.tags)) for run in rows
+        }
 
     def prepare(self, views: Sequence[View]) -> None:
         """Saves views of the leaderboard, see `MlflowExperiment.prepare`."""
@@ -69,12 +72,12 @@ class MlflowBoard:
             DamagedFileError: a file that the row is read from is damaged.
         """
         mark = {f"sweep.{sweep}": "listed"}
-        known = self._rows.get(entry.about)
-        if known is not None and known.data.tags.get("content") == entry.content:
-            if not mark.keys() <= known.data.tags.keys():
+        run_id, known = self._rows.get(entry.about, ("", {}))
+        if known.get("content") == entry.content:
+            if not mark.keys() <= known.keys():
                 with self.experiment.writing():
-                    log_batches(self.experiment.client, known.info.run_id, tags=mark)
-                known.data.tags.update(mark)
+                    log_batches(self.experiment.client, run_id, tags=mark)
+                known |= mark
             return
         row = entry.row()
         with self.experiment.writing():
@@ -83,8 +86,7 @@ class MlflowBoard:
             for old in list(self.experiment.search(same)):
                 delete_row(self.experiment, old)
             tags = mark | {"about": entry.about, "content": entry.content, "sweep": sweep}
-            run_id = self._write(row, tags, runs)
-            self._rows[entry.about] = self.experiment.client.get_run(run_id)
+            self._rows[entry.about] = (self._write(row, tags, runs), tags)
 
     def _write(self, row: Row, tags: Mapping[str, str], runs: Mapping[str, str]) -> str:
         client, now = self.experiment.client, int(1000 * time.time())
