@@ -17,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscop
   --no-loadscope-reorder --max-worker-restart 0
 
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark data test test-fast test-all lint format bench peers ui clean
+.PHONY: help setup benchmark data test test-fast test-all lint format docs bench peers ui clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +57,9 @@ format: $(READY) ## Put the code into the common format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: $(READY) ## Build the pages of docs/ as a site, into site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
 	$(BIN)/python -m benchmarks.run
 
@@ -72,5 +75,5 @@ ui: $(READY) ## Open the MLflow UI on this project's runs, at http://127.0.0.1:5
 	$(BIN)/python -m flows.ui
 
 clean: ## Remove the environment and caches (never mlruns/)
-	rm -rf $(VENV) $(PEERS) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(PEERS) build site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

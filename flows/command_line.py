@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -45,6 +46,7 @@ __all__ = [
     "make_tracker",
     "run_door",
     "run_sweep",
+    "window_width",
 ]
 
 COMMON_HELP = """\
@@ -284,6 +286,11 @@ def command_words() -> list[str]:
     """The command line behind ``python``."""
     module = getattr(sys.modules["__main__"], "__spec__", None)
     return ["-m", module.name if module else sys.argv[0], *sys.argv[1:]]
+
+
+def window_width() -> int:
+    """Characters in a line of the terminal; where there is none, lines are as long as they are."""
+    return shutil.get_terminal_size(fallback=(10_000, 0)).columns
 
 
 def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:

@@ -21,6 +21,7 @@ from components.training.divergence import DivergedError, diverged
 from components.training.memory import keep_freed_memory
 from flows.configuration.checking import hint
 from flows.configuration.composition import base_layers
+from flows.configuration.files import PLANT
 from flows.configuration.given import settings_of
 from flows.configuration.schema import Settings
 from flows.planning.sizes import check_algorithm, check_model, check_size
@@ -156,17 +157,18 @@ def _settings(
             valid = f"its models are {', '.join(needs)}" if needs else "it needs no models"
             said = f"models={model!r}: {algorithm} is not trained with it; {valid}."
             raise ValueError(said + hint(model, needs))
+    source = HeldLog.of(log)
+    domain = {} if source.environment else {"domain": PLANT}
     own = {"model_for": {algorithm: {model: dict(fields) for model, fields in models.items()}}}
     given = {
         "datasets": [name],
-        "dataset": {name: own if name in known else {"log": "", **own}},
+        "dataset": {name: own if name in known else {"log": "", **domain, **own}},
         "algorithms": [algorithm],
         "seeds": list(seeds) if isinstance(seeds, Sequence) else [seeds],
         "training": {"snapshots": snapshots},
         "algorithm": {algorithm: dict(settings)},
     }
     chosen = settings_of(PROFILE, given, {})
-    source = HeldLog.of(log)
     chosen = chosen.model_copy(update={"dataset": {name: source}})
     check_size(name, source)
     for config in _models(chosen, name, ALGORITHMS[algorithm]).values():

@@ -26,6 +26,8 @@ TOGETHER = {
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/flows/test_mlflow_pages.py": "ray",  # they share the smoke run
     "tests/test_notebooks.py": "ray",
+    "tests/components/reporting/test_page.py": "a browser",
+    "tests/flows/report/test_report_door.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",

@@ -4,9 +4,7 @@ A row's tenth percentile is that of the seed's own pool. The table of a sweep po
 the thesis does, so its numbers are no means of the rows'.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +17,7 @@ from components.data.card import DatasetCard
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.board import Entry, Metrics, Row, View
+from flows.report.comparison import comparable_behaviour
 from flows.report.views import benchmark_views
 
 __all__ = ["Leaderboard"]
@@ -71,7 +70,7 @@ class Leaderboard:
         best = _best(points)
         policy = node.inputs["policy"]
         label, dataset, seed = table.config["algorithm"], node.tags["dataset"], node.tags["seed"]
-        level = self._level(policy.inputs["dataset"], node.config["evaluation"])
+        level = self._level(policy.inputs["dataset"], table)
         grid = stored["lambdas"]  # [P], under the name in stored files
         distances = stored["distances"][-last:].mean(axis=0)  # [P]
         takes_proximity = not np.isnan(grid[0])
@@ -100,7 +99,7 @@ class Leaderboard:
             tags=tags,
         )
 
-    def _level(self, data: Node, protocol: Mapping[str, Any]) -> float | None:
+    def _level(self, data: Node, table: Node) -> float | None:
         """Mean return of the logged behaviour, if it is over as many steps, discounted alike."""
         while "dataset" in data.inputs:  # a part of a log: behaviour is that of the whole
             data = data.inputs["dataset"]
@@ -110,8 +109,7 @@ class Leaderboard:
         except (DamagedFileError, FileNotFoundError):
             return None  # it was removed, or is made again: named by those who need it
         card = DatasetCard.load(self._store.path(data.key) / card_file)
-        same = (card.return_steps, card.discount) == (protocol["horizon"], protocol["discount"])
-        return card.first_window_return_mean if same else None
+        return comparable_behaviour(card, [table])
 
 
 def _best(points: list[PoolStatistics]) -> int:

@@ -21,8 +21,7 @@ MODELS = {
 
 def example() -> str:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    section = text.partition("\n## The library\n")[2].partition("\n## ")[0]
-    [code] = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    [code] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     return str(code)
 
 

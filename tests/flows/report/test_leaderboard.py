@@ -59,7 +59,7 @@ def row(plan: Plan, node: Node, home: Path, returns: np.ndarray, grid: Any, ende
 
 def card(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
     class Card:
-        return_steps, discount, first_window_return_mean = steps, 0.97, -5.0
+        name, return_steps, discount, first_window_return_mean = "mediocre-0.2", steps, 0.97, -5.0
 
     monkeypatch.setattr(leaderboard.DatasetCard, "load", lambda path: Card)
     monkeypatch.setattr(ArtifactStore, "check", lambda *_, **__: {})
