@@ -11,7 +11,7 @@ from flows.pipeline.tracking.board import Entry, Row, View
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_leftovers import delete_row
 from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
-from flows.pipeline.tracking.mlflow_writes import log_batches, log_datasets
+from flows.pipeline.tracking.mlflow_writes import DIGEST_LENGTH, log_batches, log_datasets
 from flows.pipeline.tracking.redaction import without_secrets
 
 __all__ = ["MlflowBoard"]
@@ -146,4 +146,4 @@ def _first_dataset(row: Row) -> tuple[str | None, str | None]:
     if not row.datasets:
         return None, None
     first = row.datasets[0]
-    return str(first["name"]), str(first["digest"])[:36]
+    return str(first["name"]), str(first["digest"])[:DIGEST_LENGTH]

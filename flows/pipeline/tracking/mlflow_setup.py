@@ -39,6 +39,10 @@ ABOUT = {
     name: {"mlflow.experimentKind": "custom_model_development", "mlflow.note.content": note}
     for name, note in _NOTES.items()
 }
+ABOUT[LEADERBOARD] |= {
+    "mlflow.experiment.primaryMetric.name": "return/tenth_percentile",
+    "mlflow.experiment.primaryMetric.greaterIsBetter": "True",
+}
 """Tags of an experiment by its name: what opens MLflow's view of model training, and a note."""
 
 

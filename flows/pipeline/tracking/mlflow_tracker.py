@@ -119,6 +119,7 @@ class MlflowTracker:
             if self._has_run(node.key, digest):
                 return False
             content = read_content(folder)
+            self.sweep.add_datasets(content.datasets)
             written = flat(content.tags) | self._tags(node)
             written |= {_CONTENT: digest} if digest else {}
             written |= {self._mark: "computed"} | dict(tags or {})

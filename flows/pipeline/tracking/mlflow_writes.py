@@ -8,15 +8,17 @@ from typing import Any
 
 from flows.pipeline.tracking.tracker import Metrics
 
-__all__ = ["log_anew", "log_batches", "log_datasets", "split_finite"]
+__all__ = ["DIGEST_LENGTH", "log_anew", "log_batches", "log_datasets", "split_finite"]
 
 NOT_FINITE = "not_finite"
 """Tag of a run with the names of its metrics that are infinite or no number."""
 
+DIGEST_LENGTH = 36
+"""Of a data set's digest in MLflow; the rest is cut."""
+
 _CHUNK = {"metrics": 1000, "params": 100, "tags": 100}  # MLflow's limits for one log_batch
 _TOGETHER = 1000
 _TAG_LENGTH = 5000
-_DIGEST_LENGTH = 36  # MLflow's limit
 
 
 def log_batches(
@@ -125,7 +127,7 @@ def log_datasets(client: Any, run_id: str, datasets: Sequence[Mapping[str, Any]]
             MetaDataset(
                 source=CodeDatasetSource(tags={"source": str(data.get("source", ""))}),
                 name=str(data["name"]),
-                digest=str(data["digest"])[:_DIGEST_LENGTH],
+                digest=str(data["digest"])[:DIGEST_LENGTH],
             )._to_mlflow_entity(),
             [InputTag("mlflow.data.context", "offline-rl")],
         )

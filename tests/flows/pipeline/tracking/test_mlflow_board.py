@@ -132,6 +132,8 @@ def test_sweeps_that_find_a_row_mark_it_and_read_it_no_more(home: Path) -> None:
     }
     assert row.data.tags["sweep"] == "first"
     assert len(models(tracker)) == 1
+    parents = tracker.experiment.search("tags.role = 'sweep'")
+    assert [len(parent.inputs.dataset_inputs) for parent in parents] == [0, 1]
     assert counted(home.parent / "log", "rows-read") == 1
 
 
