@@ -24,8 +24,8 @@ from components.data.sources.minari_exchange import ForeignDatasetError, import_
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
-from flows.configuration.files import PLANT
 from flows.configuration.overrides import split_word
+from flows.configuration.plants import settings_of_log
 
 __all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
 
@@ -266,8 +266,8 @@ def _store(
         _put(made, folder)
     if not settings.named_in.exists():
         about = f"# imported by flows.import_log; {_REPORT} in its folder says what it holds\n"
-        plant = {} if dataset.card.environment else {"domain": PLANT}
-        content = {settings.name: {**plant, "log": str(_shown(folder))}}
+        own = {"log": str(_shown(folder)), **settings_of_log(dataset.card)}
+        content = {settings.name: own}
         settings.named_in.parent.mkdir(parents=True, exist_ok=True)
         write_text(settings.named_in, about + yaml.safe_dump(content, allow_unicode=True))
     _say(imported, settings)

@@ -21,8 +21,8 @@ from components.training.divergence import DivergedError, diverged
 from components.training.memory import keep_freed_memory
 from flows.configuration.checking import hint
 from flows.configuration.composition import base_layers
-from flows.configuration.files import PLANT
 from flows.configuration.given import settings_of
+from flows.configuration.plants import settings_of_log
 from flows.configuration.schema import Settings
 from flows.planning.sizes import check_algorithm, check_model, check_size
 from proximity_bench.datasets import PROFILE
@@ -158,11 +158,13 @@ def _settings(
             said = f"models={model!r}: {algorithm} is not trained with it; {valid}."
             raise ValueError(said + hint(model, needs))
     source = HeldLog.of(log)
-    domain = {} if source.environment else {"domain": PLANT}
-    own = {"model_for": {algorithm: {model: dict(fields) for model, fields in models.items()}}}
+    own: dict[str, Any] = {} if name in known else {"log": "", **settings_of_log(log.card)}
+    for setting in settings:  # what is given wins over what follows from the card
+        own.get("algorithm", {}).get(algorithm, {}).pop(setting, None)
+    own["model_for"] = {algorithm: {model: dict(fields) for model, fields in models.items()}}
     given = {
         "datasets": [name],
-        "dataset": {name: own if name in known else {"log": "", **domain, **own}},
+        "dataset": {name: own},
         "algorithms": [algorithm],
         "seeds": list(seeds) if isinstance(seeds, Sequence) else [seeds],
         "training": {"snapshots": snapshots},

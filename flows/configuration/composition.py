@@ -86,7 +86,7 @@ def base_layers(profile: str) -> Layers:
             f"Unknown profile {profile!r}; valid ones are {', '.join(valid)}."
             + hint(profile, valid)
         )
-    datasets, domains = read_datasets(), read_folder(CONF / "domain")
+    datasets, domains = read_datasets(CONF / "dataset"), read_folder(CONF / "domain")
     chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )

@@ -132,14 +132,17 @@ def read_folder(folder: Path) -> ConfFolder:
     return ConfFolder(content, broken)
 
 
-def read_datasets() -> ConfFolder:
-    """The files of conf/dataset, the project's and those of `home`.
+def read_datasets(project: Path) -> ConfFolder:
+    """The files of datasets, the project's and those of `home`.
+
+    Args:
+        project: Folder of the project's.
 
     Raises:
         SettingsError: The project's folder is missing, or both have a file of the same name.
     """
-    found, own = read_folder(CONF / "dataset"), home() / "conf" / "dataset"
-    if own == CONF / "dataset" or not any(own.glob("*.yaml")):
+    found, own = read_folder(project), home() / "conf" / "dataset"
+    if not os.environ.get(HOME) or own == project or not any(own.glob("*.yaml")):
         return found
     added = read_folder(own)
     names = {*found.content, *found.broken}

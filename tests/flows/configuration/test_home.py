@@ -33,17 +33,17 @@ def test_its_datasets_are_there_beside_those_of_the_project(own: Path) -> None:
     settings = load_settings(("datasets=[mine,bad-0.4]", "profile=smoke"))
     assert settings.dataset["mine"].folder == own / "logs" / "mine"
     assert settings.dataset["bad-0.4"].name == "bad-0.4"
-    assert {*read_datasets().content} == {*names_in(CONF / "dataset"), "mine"}
+    assert {*read_datasets(CONF / "dataset").content} == {*names_in(CONF / "dataset"), "mine"}
 
 
 def test_without_own_datasets_and_without_the_variable_there_are_those_of_the_project(
     own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (own / "conf" / "dataset" / "mine.yaml").unlink()
-    assert {*read_datasets().content} == {*names_in(CONF / "dataset")}
+    assert {*read_datasets(CONF / "dataset").content} == {*names_in(CONF / "dataset")}
     monkeypatch.delenv(HOME)
     assert home() == CONF.parent
-    assert {*read_datasets().content} == {*names_in(CONF / "dataset")}
+    assert {*read_datasets(CONF / "dataset").content} == {*names_in(CONF / "dataset")}
 
 
 def test_a_name_of_the_project_and_a_missing_folder_are_refused(
@@ -54,7 +54,7 @@ def test_a_name_of_the_project_and_a_missing_folder_are_refused(
         load_settings(("datasets=[bad-0.2]",))
     monkeypatch.setenv(HOME, str(own / "gone"))
     with pytest.raises(SettingsError, match=r"PROXIMITY_BENCH_HOME=.*gone is no folder; make it"):
-        read_datasets()
+        read_datasets(CONF / "dataset")
 
 
 def test_a_broken_file_there_matters_to_those_who_select_it(own: Path) -> None:
