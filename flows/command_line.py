@@ -28,6 +28,8 @@ from flows.pipeline.schedule import form_groups
 from flows.pipeline.signals import ending_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
+from flows.pipeline.tracking.board import Board
+from flows.pipeline.tracking.board_tracker import BoardTracker
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
@@ -183,6 +185,7 @@ def run_sweep(
     plan: Plan,
     report: ReportWriter,
     params: Mapping[str, str] | None = None,
+    board: Board | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
 
@@ -193,6 +196,7 @@ def run_sweep(
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
+        board: Says the rows of the leaderboard; None for a sweep without results.
 
     Returns:
         The exit code.
@@ -223,6 +227,8 @@ def run_sweep(
         return 0
     command = shlex.join(["python", *command_words()])
     tracker = make_tracker(settings)
+    if board is not None:
+        tracker = BoardTracker(tracker, board)
     tags = {
         "profile": settings.profile_name,
         "command": command,

@@ -9,6 +9,7 @@ from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
+from flows.report.leaderboard import Leaderboard
 from flows.report.report import write_report
 
 HELP = f"""\
@@ -52,6 +53,7 @@ def _run(settings: Settings) -> int:
             print(line, file=sys.stderr)
     name = sweep_name(settings, plan)
     folder = Path(settings.store) / "reports" / name
+    board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         seeds = len(settings.seeds)
@@ -64,7 +66,7 @@ def _run(settings: Settings) -> int:
             print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
         return written.files, written.headline
 
-    return run_sweep(settings, name, plan, report)
+    return run_sweep(settings, name, plan, report, board=board)
 
 
 if __name__ == "__main__":
