@@ -22,12 +22,15 @@ class VirtualReturns:
         inputs: Data and ensembles of the lanes.
         horizon: Steps of a trajectory.
         discount: gamma.
+        scale: By which returns are divided; None: by the size of the log's own mean return.
 
     Attributes:
-        scale: ``[L, 1]`` size of the log's own mean return, by which returns are divided.
+        scale: ``[L, 1]`` the same for every lane.
     """
 
-    def __init__(self, inputs: LearnerInputs, horizon: int, discount: float) -> None:
+    def __init__(
+        self, inputs: LearnerInputs, horizon: int, discount: float, scale: float | None = None
+    ) -> None:
         self._data, self._horizon, self._discount = inputs.data, horizon, discount
         device = inputs.data.device
         ensembles = inputs.fitted("recurrent_ensemble", RecurrentEnsemble)
@@ -37,7 +40,8 @@ class VirtualReturns:
             inputs.data.frame_scaling,
             device,
         )
-        self.scale = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
+        logged = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
+        self.scale = logged if scale is None else torch.full_like(logged, scale)
 
     def start_draw(self, batch: int, window: int, after: int) -> Draw:
         """Drawing rule of start states, see :func:`components.data.starts.start_rows`."""
