@@ -151,7 +151,8 @@ def policy_node(
 ) -> Node:
     algorithm, config = ALGORITHMS[variant.algorithm], variant.config
     # A stack has one configuration, and data and models of one shape.
-    models = {role: inputs[role].config["settings"] for role in algorithm.needs}
+    needs = algorithm.models_for(config)
+    models = {role: inputs[role].config["settings"] for role in needs}
     source = settings.dataset[dataset]
     system = source.environment
     # A stored log may tell more about its system than the registry.
@@ -171,7 +172,7 @@ def policy_node(
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
-        inputs={role: inputs[role] for role in ("dataset", *algorithm.needs)},
+        inputs={role: inputs[role] for role in ("dataset", *needs)},
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
         lanes=f"train/{algorithm.name}/{kind}{_datasets_together(settings, dataset)}",
         cost=algorithm.cost(config, data_sizes(source)),
