@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from flows.command_line import COMMON_HELP, Metrics, run_door, run_sweep, show_or_do
 from flows.configuration.checking import hint
@@ -66,7 +67,7 @@ def _study(study: Study, settings: Settings) -> int:
     name = settings.sweep or f"{study.name}-{sweep_name(settings, plan)}"
     folder = settings.store / "reports" / name
 
-    def report(outcome: Outcome) -> tuple[Sequence, Metrics]:
+    def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         store = ArtifactStore(settings.store)
         written = write_report(folder, plan, store)
         for note in written.notes:

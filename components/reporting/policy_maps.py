@@ -4,9 +4,9 @@ The layout of thesis figures 6.3 and 6.4, from actions that have been computed. 
 arrow is its direction, its length that of the action.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib import colormaps
@@ -41,7 +41,15 @@ class PlaneMap:
     goals: Array
     centre: tuple[float, float]
 
-    def draw(self, axes: Axes, actions: Array, title: str, ends: Array | None = None) -> None:
+    def draw(
+        self,
+        axes: Axes,
+        actions: Array,
+        title: str,
+        *,
+        ends: Array | None = None,
+        stroke: float = 0.007,
+    ) -> None:
         """Draw the map of a policy.
 
         Args:
@@ -49,6 +57,7 @@ class PlaneMap:
             actions: `[N, 2]` in the places.
             title: Above it.
             ends: `[K, 2]` where trajectories end, drawn as dots.
+            stroke: Width of the arrows, of that of the axes.
         """
         self._begin(axes, title)
         angles = np.arctan2(actions[:, 1], actions[:, 0])
@@ -59,7 +68,7 @@ class PlaneMap:
             angles="xy",
             scale_units="xy",
             scale=1.6,
-            width=0.007,
+            width=stroke,
             pivot="tail",
         )
         if ends is not None:
@@ -73,7 +82,7 @@ class PlaneMap:
             self.rewards, origin="lower", extent=(0.0, self.side) * 2, cmap="viridis"
         )
         figure.colorbar(shown, ax=axes, label="reward", shrink=0.85)
-        axes.plot(*logged.T, ",", color="white", alpha=0.6, linestyle="none")
+        axes.plot(*logged.T, ".", color="white", alpha=0.5, markersize=1.5, linestyle="none")
         self._mark(axes)
 
     def _begin(self, axes: Axes, title: str) -> None:
@@ -82,7 +91,7 @@ class PlaneMap:
         axes.set_yticks([0.0, self.side / 2.0, self.side])
 
     def _mark(self, axes: Axes) -> None:
-        style = {"linestyle": "none", "markeredgecolor": "black"}
+        style: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "black"}
         axes.plot(*self.goals.T, "o", markerfacecolor="none", markersize=9.0, **style)
         axes.plot(*self.centre, "X", markerfacecolor="white", markersize=8.0, **style)
 
@@ -102,19 +111,19 @@ def log_figure(plane: PlaneMap, behaviour: Array, logged: Array) -> Figure:
     return figure
 
 
-def panels_figure(plane: PlaneMap, maps: Mapping[float, Array]) -> Figure:
+def panels_figure(plane: PlaneMap, maps: Mapping[float, tuple[Array, Array]]) -> Figure:
     """Thesis figure 6.4: the map of a policy at every proximity.
 
     Args:
         plane: What is drawn on.
-        maps: By proximity the actions `[N, 2]` in the places.
+        maps: By proximity the actions `[N, 2]` in the places, and where trajectories end, `[K, 2]`.
     """
     rows = -(-len(maps) // _COLUMNS)
     columns = min(_COLUMNS, len(maps))
     figure = Figure(figsize=(1.2 * columns, 1.38 * rows), layout="constrained")
-    panels: Sequence[Axes] = figure.subplots(rows, columns, squeeze=False).flat
-    for axes, (proximity, actions) in zip(panels, maps.items(), strict=False):
-        plane.draw(axes, actions, f"λ = {proximity:.2f}")
+    figure.subplots(rows, columns, squeeze=False)
+    for axes, (proximity, (actions, ends)) in zip(figure.axes, maps.items(), strict=False):
+        plane.draw(axes, actions, f"λ = {proximity:.2f}", ends=ends, stroke=0.012)
     for axes in figure.axes:
         axes.set_xticks([])
         axes.set_yticks([])
@@ -127,7 +136,7 @@ def panels_figure(plane: PlaneMap, maps: Mapping[float, Array]) -> Figure:
 def picture(plane: PlaneMap, proximity: float, actions: Array, ends: Array) -> NDArray[np.uint8]:
     """A picture `[height, width, 3]` of a film over the proximity, with the ends `[K, 2]`."""
     figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
-    plane.draw(figure.subplots(), actions, f"proximity λ = {proximity:.2f}", ends)
+    plane.draw(figure.subplots(), actions, f"proximity λ = {proximity:.2f}", ends=ends)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]

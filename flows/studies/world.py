@@ -5,7 +5,7 @@ the thesis reads off its figure: where agents end that follow the policy from ev
 """
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -33,7 +33,7 @@ _PLACES: Final = 15  # arrows along a side
 _PIXELS: Final = 101  # of the reward along a side
 _SHOTS: Final = 51  # pictures of the film, from proximity 0 to 1
 _PER_SECOND: Final = 8.0
-_COLOURS: Final = 64  # of a figure
+_COLOURS: Final = 128  # of the panels
 _LOGGED: Final = 2500  # positions shown, evenly taken from the log
 
 _THESIS: Final = """\
@@ -71,7 +71,7 @@ def _ends(policy: Policy, starts: Array, proximity: float, steps: int) -> Array:
 
 
 def _table(
-    policies: list[Policy], summary: dict, starts: Array, points: Array, steps: int
+    policies: list[Policy], summary: dict[str, Any], starts: Array, points: Array, steps: int
 ) -> pd.DataFrame:
     """One row per proximity of the evaluation, over all seeds; `points` are goals and centre."""
     rows = []
@@ -120,9 +120,9 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
     names = ("log.png", "panels.png", "proximity.gif", "world.csv", "world.md")
     files = [folder / name for name in names]
     logged = np.asarray(dataset.frames[:: max(1, len(dataset.frames) // _LOGGED)], np.float64)
-    save_figure(log_figure(plane, to_nearest(places, goals), logged), files[0], colours=_COLOURS)
+    save_figure(log_figure(plane, to_nearest(places, goals), logged), files[0])
     shown = policies[0]
-    maps = {p: _act(shown, places, p) for p in table["λ"]}
+    maps = {p: (_act(shown, places, p), _ends(shown, places, p, steps)) for p in table["λ"]}
     save_figure(panels_figure(plane, maps), files[1], colours=_COLOURS)
     with video(files[2], _PER_SECOND) as film:
         for proximity in np.linspace(0.0, 1.0, _SHOTS):

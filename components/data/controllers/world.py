@@ -20,4 +20,5 @@ def to_nearest(positions: NDArray[np.float64], goals: Sequence[ArrayLike]) -> ND
     """
     ways = np.asarray(goals, dtype=np.float64) - positions[:, None]  # [N, goals, 2]
     nearest = np.square(ways).sum(axis=-1).argmin(axis=1)
-    return np.clip(ways[np.arange(len(positions)), nearest], -1.0, 1.0)
+    actions: NDArray[np.float64] = np.clip(ways[np.arange(len(positions)), nearest], -1.0, 1.0)
+    return actions
