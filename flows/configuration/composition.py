@@ -145,7 +145,8 @@ def by_name_only(whole: Mapping[str, Any]) -> set[str]:
     """
     found = set()
     for name, fields in _files(whole).items():
-        domain = whole["domain"].get(fields.get("domain"))
+        named = fields.get("domain")
+        domain = whole["domain"].get(named) if isinstance(named, str) else None
         of_domain = domain if isinstance(domain, Mapping) else {}
         if fields.get("by_name_only", of_domain.get("by_name_only", False)) is True:
             found.add(name)
