@@ -92,8 +92,9 @@ def check_algorithm(settings: Settings, dataset: str, name: str) -> None:
             "steps an episode; lower start_after."
         )
     # Episodes that end with a fall may be shorter: nothing is earned after it.
-    if isinstance(source, IndustrialSpec) and source.steps < getattr(config, "window", 0):
+    whole = isinstance(source, IndustrialSpec | WorldSpec)
+    if whole and source.steps < getattr(config, "window", 0):
         raise SettingsError(
             f"algorithm.{name}.window={config.window}, but {dataset} has {source.steps} steps an "
-            "episode; lower window or use longer episodes (data.steps)."
+            "episode; lower window or use longer episodes."
         )

@@ -1,4 +1,4 @@
-"""The dataset of the 2-D world: sizes, contents, card, and the same bytes for the same seed."""
+"""The dataset of the 2-D world: sizes, contents, card, the same bytes for the same seed."""
 
 import math
 
