@@ -8,12 +8,15 @@ __all__ = ["doors"]
 
 def doors() -> dict[str, str]:
     """The first line about every module here that is a command, by its name."""
+    here = Path(__file__)
+    modules = {path.stem: path for path in here.parent.glob("*.py") if path != here}
+    modules |= {path.parent.name: path for path in here.parent.glob(f"*/{here.name}")}
     found = {}
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for name, path in sorted(modules.items()):
         source = path.read_text(encoding="utf-8")
-        if path.name != Path(__file__).name and '\nif __name__ == "__main__":\n' in source:
-            about = ast.get_docstring(ast.parse(source)) or path.stem
-            found[path.stem] = about.splitlines()[0].partition(": ``")[0].rstrip(".")
+        if '\nif __name__ == "__main__":\n' in source:
+            about = ast.get_docstring(ast.parse(source)) or name
+            found[name] = about.splitlines()[0].partition(": ``")[0].rstrip(".")
     return found
 
 

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -27,6 +28,8 @@ from flows.pipeline.schedule import form_groups
 from flows.pipeline.signals import ending_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
+from flows.pipeline.tracking.board import Board
+from flows.pipeline.tracking.board_tracker import BoardTracker
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
@@ -44,6 +47,7 @@ __all__ = [
     "run_door",
     "run_sweep",
     "show_or_do",
+    "window_width",
 ]
 
 COMMON_HELP = """\
@@ -189,6 +193,7 @@ def run_sweep(
     plan: Plan,
     report: ReportWriter,
     params: Mapping[str, str] | None = None,
+    board: Board | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
 
@@ -199,6 +204,7 @@ def run_sweep(
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
+        board: Says the rows of the leaderboard; None for a sweep without results.
 
     Returns:
         The exit code.
@@ -229,6 +235,8 @@ def run_sweep(
         return 0
     command = shlex.join(["python", *command_words()])
     tracker = make_tracker(settings)
+    if board is not None:
+        tracker = BoardTracker(tracker, board)
     tags = {
         "profile": settings.profile_name,
         "command": command,
@@ -286,6 +294,11 @@ def command_words() -> list[str]:
     """The command line behind ``python``."""
     module = getattr(sys.modules["__main__"], "__spec__", None)
     return ["-m", module.name if module else sys.argv[0], *sys.argv[1:]]
+
+
+def window_width() -> int:
+    """Characters in a line of the terminal; where there is none, lines are as long as they are."""
+    return shutil.get_terminal_size(fallback=(10_000, 0)).columns
 
 
 def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:

@@ -4,11 +4,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
+from flows.command_line import COMMON_HELP, Metrics, main, run_sweep, window_width
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
+from flows.report.leaderboard import Leaderboard
 from flows.report.report import write_report
 
 HELP = f"""\
@@ -53,16 +54,20 @@ def _run(settings: Settings) -> int:
             print(line, file=sys.stderr)
     name = sweep_name(settings, plan)
     folder = Path(settings.store) / "reports" / name
+    board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
-        written = write_report(folder, plan, ArtifactStore(settings.store))
-        for line in written.lines():
+        seeds = len(settings.seeds)
+        about = f"profile {settings.profile_name}, {seeds} {'seed' if seeds == 1 else 'seeds'}"
+        written = write_report(folder, plan, ArtifactStore(settings.store), about)
+        for line in written.lines(window_width()):
             print(line)
         if not written.table.empty:
-            print(f"\nTable and figures: {folder}/")
+            print(f"\nAll numbers and figures: {folder}/")
+            print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
         return written.files, written.headline
 
-    return run_sweep(settings, name, plan, report)
+    return run_sweep(settings, name, plan, report, board=board)
 
 
 if __name__ == "__main__":

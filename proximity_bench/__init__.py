@@ -19,8 +19,21 @@ arrays. Whatever is wrong is a ValueError of one sentence.
 from components.data.dataset import OfflineDataset
 from proximity_bench.datasets import dataset
 from proximity_bench.judging import judge, split
+from proximity_bench.operating import operate, trajectory
 from proximity_bench.policies import Policy
+from proximity_bench.ranking import rank
 from proximity_bench.stored import load
 from proximity_bench.training import train
 
-__all__ = ["OfflineDataset", "Policy", "dataset", "judge", "load", "split", "train"]
+__all__ = [
+    "OfflineDataset",
+    "Policy",
+    "dataset",
+    "judge",
+    "load",
+    "operate",
+    "rank",
+    "split",
+    "train",
+    "trajectory",
+]

@@ -22,6 +22,7 @@ from components.training.memory import keep_freed_memory
 from flows.configuration.checking import hint
 from flows.configuration.composition import base_layers
 from flows.configuration.given import settings_of
+from flows.configuration.plants import settings_of_log
 from flows.configuration.schema import Settings
 from flows.planning.sizes import check_algorithm, check_model, check_size
 from proximity_bench.datasets import PROFILE
@@ -157,17 +158,20 @@ def _settings(
             valid = f"its models are {', '.join(needs)}" if needs else "it needs no models"
             said = f"models={model!r}: {algorithm} is not trained with it; {valid}."
             raise ValueError(said + hint(model, needs))
-    own = {"model_for": {algorithm: {model: dict(fields) for model, fields in models.items()}}}
+    source = HeldLog.of(log)
+    own: dict[str, Any] = {} if name in known else {"log": "", **settings_of_log(log.card)}
+    for setting in settings:  # what is given wins over what follows from the card
+        own.get("algorithm", {}).get(algorithm, {}).pop(setting, None)
+    own["model_for"] = {algorithm: {model: dict(fields) for model, fields in models.items()}}
     given = {
         "datasets": [name],
-        "dataset": {name: own if name in known else {"log": "", **own}},
+        "dataset": {name: own},
         "algorithms": [algorithm],
         "seeds": list(seeds) if isinstance(seeds, Sequence) else [seeds],
         "training": {"snapshots": snapshots},
         "algorithm": {algorithm: dict(settings)},
     }
     chosen = settings_of(PROFILE, given, {})
-    source = HeldLog.of(log)
     chosen = chosen.model_copy(update={"dataset": {name: source}})
     check_size(name, source)
     for config in _models(chosen, name, record).values():

@@ -20,7 +20,7 @@ def code_cells(path: Path) -> list[nbformat.NotebookNode]:
 
 
 def test_there_are_notebooks() -> None:
-    assert "results.ipynb" in [path.name for path in NOTEBOOKS]
+    assert [path.name for path in NOTEBOOKS] == ["dataset.ipynb", "lion.ipynb", "results.ipynb"]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
@@ -37,6 +37,40 @@ def test_notebooks_hold_no_logic(path: Path) -> None:
         assert not [n for n in ast.walk(ast.parse("\n".join(lines))) if isinstance(n, LOGIC)]
 
 
+def executed(name: str, folder: Path) -> list[nbformat.NotebookNode]:
+    """All outputs of a notebook that runs in a folder."""
+    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
+    NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": folder}}
+    ).execute()
+    return [out for cell in notebook.cells for out in cell.get("outputs", [])]
+
+
+@pytest.mark.slow(25)
+def test_a_dataset_and_its_ranking(tmp_path: Path) -> None:
+    outputs = executed("dataset", tmp_path)
+    tables = [out.data["text/html"] for out in outputs if "text/html" in out.get("data", {})]
+    card, ranking = tables
+    for name in ("mediocre-0.0", "mediocre-0.2", "mediocre-0.6"):
+        assert name in card
+        assert name in ranking
+    assert "Limited by" in ranking
+    assert len([out for out in outputs if "image/png" in out.get("data", {})]) == 2
+    assert not [out for out in outputs if out.output_type in ("stream", "error")]
+
+
+@pytest.mark.slow(15)
+def test_lion_by_hand(smoke: SmokeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PROXIMITY_STORE", str(smoke.store))
+    monkeypatch.setenv("PROXIMITY_RUN", "lion/mediocre-0.2/seed1")
+    outputs = executed("lion", tmp_path)
+    shown = [out.data for out in outputs if "data" in out]
+    assert "lion on mediocre-0.2, seed 1" in shown[0]["text/plain"]
+    assert [data for data in shown if "application/vnd.jupyter.widget-view+json" in data]
+    assert "discounted return" in shown[-1]["text/plain"]
+    assert not [out for out in outputs if out.output_type in ("stream", "error")]
+
+
 @pytest.mark.slow(20)
 def test_results_notebook_shows_table_and_figure(
     smoke: SmokeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -50,17 +84,12 @@ def test_results_notebook_shows_table_and_figure(
     (store / "reports" / "later" / "results.csv").write_text("no table\n")
     monkeypatch.setenv("PROXIMITY_STORE", str(store))
     monkeypatch.setenv("PROXIMITY_SWEEP", "smoke")
-    notebook = nbformat.read(ROOT / "notebooks" / "results.ipynb", as_version=4)
-    NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
-    ).execute()
-    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    outputs = executed("results", tmp_path)
     shown = [out.data for out in outputs if "data" in out]
     texts = [data["text/markdown"] for data in shown if "text/markdown" in data]
     assert texts[0] == "Sweep **smoke**"
-    assert texts[-1] == (smoke.store / "reports" / "smoke" / "results.md").read_text(
-        encoding="utf-8"
-    )
+    report = smoke.store / "reports" / "smoke" / "results.md"
+    assert texts[-1] in report.read_text(encoding="utf-8")
     beside, over_proximity = [data["text/html"] for data in shown if "text/html" in data]
     assert "td3_bc" in beside
     assert "-77.7" in beside  # the thesis's TD3+BC on mediocre-0.2

@@ -6,19 +6,25 @@ The layout of thesis figure 6.5. Everything is drawn from stored summaries.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from matplotlib.figure import Figure
-from PIL import Image
 
-__all__ = ["proximity_figure", "save_figure"]
+from components.reporting.edge_names import name_levels
+
+__all__ = ["limits", "proximity_figure", "save_figure"]
+
+BEHAVIOUR_COLOUR = "0.4"
 
 Summary = Mapping[str, Any]
-_DPI: Final = 150
 
 
 def proximity_figure(
-    dataset: str, summaries: Sequence[Summary], behaviour_return: float
+    dataset: str,
+    summaries: Sequence[Summary],
+    behaviour_return: float,
+    about: str = "",
+    colours: Mapping[str, str] = {},
 ) -> Figure | None:
     """Draw a dataset's adaptive policies over the proximity parameter.
 
@@ -26,7 +32,10 @@ def proximity_figure(
         dataset: Its name.
         summaries: All summaries of this dataset; those whose points carry a proximity (stored as
             `lambda`) are curves, the others dashed lines.
-        behaviour_return: Mean return of the logging controller, exploration included.
+        behaviour_return: Mean return of the logging controller, exploration included; NaN if it
+            is not counted as the policies' returns are.
+        about: For the title: profile and seeds.
+        colours: By algorithm; others take the next of matplotlib's.
 
     Returns:
         The figure, or None where no policy takes the parameter.
@@ -35,15 +44,17 @@ def proximity_figure(
     fixed = [s for s in summaries if s["points"][0]["lambda"] is None]
     if not curves:
         return None
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    for number, summary in enumerate(curves):
-        points, colour = summary["points"], f"C{number}"
+    tints = {s["algorithm"]: f"C{number}" for number, s in enumerate([*curves, *fixed])}
+    tints |= {name: colours[name] for name in tints if name in colours}
+    levels = [(behaviour_return, "logged behaviour", BEHAVIOUR_COLOUR)]
+    for summary in curves:
+        points, colour = summary["points"], tints[summary["algorithm"]]
         x = [p["lambda"] for p in points]
         mean = [p["mean"] for p in points]
         band = [p["seed_std"] for p in points]
-        label = summary["algorithm"]
-        upper.plot(x, mean, color=colour, label=f"{label} (mean ± sd of seeds)", linewidth=1.8)
+        upper.plot(x, mean, color=colour, linewidth=1.8)
         upper.fill_between(
             x,
             [m - b for m, b in zip(mean, band, strict=True)],
@@ -52,22 +63,20 @@ def proximity_figure(
             alpha=0.2,
             linewidth=0,
         )
+        levels.append((mean[-1], summary["algorithm"], colour))
         lower.plot(x, [p["distance"] for p in points], color=colour, linewidth=1.8)
-    for number, summary in enumerate(fixed, start=len(curves)):
-        upper.axhline(
-            summary["points"][0]["mean"],
-            color=f"C{number}",
-            linestyle="--",
-            linewidth=1.2,
-            label=f"{summary['algorithm']} ({summary['points'][0]['mean']:.0f})",
-        )
-    upper.axhline(
-        behaviour_return, color="0.4", linestyle=":", linewidth=1.2, label="logged behaviour"
-    )
-    upper.set_ylim(_limits(curves, fixed, behaviour_return))
-    upper.set_title(dataset)
-    upper.set_ylabel("discounted 100-step return")
-    upper.legend(fontsize="small", edgecolor="none", framealpha=0.9)  # over lines of other policies
+    for summary in fixed:
+        level, colour = summary["points"][0]["mean"], tints[summary["algorithm"]]
+        upper.axhline(level, color=colour, linestyle="--", linewidth=1.2)
+        levels.append((level, summary["algorithm"], colour))
+    upper.axhline(behaviour_return, color=BEHAVIOUR_COLOUR, linestyle=":", linewidth=1.2)
+    bands = [(p["mean"], p["seed_std"]) for s in curves for p in s["points"]]
+    shown = [behaviour_return, *(mean + side * band for mean, band in bands for side in (-1, 1))]
+    upper.set_ylim(limits(shown, [s["points"][0]["mean"] for s in fixed]))
+    known = [level for level in levels if not math.isnan(behaviour_return) or level != levels[0]]
+    name_levels(upper, known)
+    upper.set_title(f"{dataset} ({about})" if about else dataset, fontsize="medium")
+    upper.set_ylabel("discounted return\nmean ± deviation of the seeds")
     lower.set_ylabel("distance to\nbehaviour policy")
     lower.set_xlabel("proximity parameter λ")
     lower.set_xlim(0.0, 1.0)
@@ -78,35 +87,20 @@ def proximity_figure(
     return figure
 
 
-def _limits(
-    curves: Sequence[Summary], fixed: Sequence[Summary], behaviour_return: float
-) -> tuple[float, float]:
-    """Returns shown: the curves, the behaviour, and fixed policies not far below them.
+def limits(shown: Sequence[float], others: Sequence[float]) -> tuple[float, float]:
+    """Ends of an axis of returns: what has to be shown, and others not far below.
 
-    The range of a diverged learner would hide all differences; its mean is given in the legend.
+    The range of a diverged learner would hide all differences; its level is named at the edge.
     """
-    bands = [(p["mean"], p["seed_std"]) for s in curves for p in s["points"]]
-    shown = [mean + side * band for mean, band in bands for side in (-1, 1)]
-    shown = [behaviour_return, *filter(math.isfinite, shown)]
-    low, high = min(shown), max(shown)
+    finite = [value for value in shown if math.isfinite(value)] or [0.0]
+    low, high = min(finite), max(finite)
     far = low - (high - low)
-    near = [s["points"][0]["mean"] for s in fixed if s["points"][0]["mean"] >= far]
+    near = [value for value in others if math.isfinite(value) and value >= far]
     low, high = min([low, *near]), max([high, *near])
     margin = 0.05 * (high - low) or 1.0
     return low - margin, high + margin
 
 
-def save_figure(figure: Figure, path: Path, colours: int | None = None) -> None:
-    """Write a PNG.
-
-    Args:
-        figure: What to draw.
-        path: Ends in .png.
-        colours: Number of colours to which the picture is reduced; None: it keeps all. Maps full
-            of coloured arrows take a fifth of the bytes, and look the same.
-    """
-    figure.savefig(path, dpi=_DPI)
-    if colours is not None:
-        with Image.open(path) as drawn:
-            reduced = drawn.convert("RGB").quantize(colours)
-        reduced.save(path, optimize=True, dpi=(_DPI, _DPI))
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the file's ending."""
+    figure.savefig(path, dpi=150)

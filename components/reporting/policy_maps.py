@@ -6,6 +6,7 @@ arrow is its direction, its length that of the action.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,13 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
-__all__ = ["PlaneMap", "log_figure", "panels_figure", "picture"]
+__all__ = ["PlaneMap", "log_figure", "panels_figure", "picture", "save_reduced"]
 
 Array = NDArray[np.float64]
 
 _DIRECTIONS: Final = colormaps["hsv"]
 _COLUMNS: Final = 7  # panels side by side, as in figure 6.4
+_DPI: Final = 150
+_COLOURS: Final = 128  # of a reduced picture
 
 
 @dataclass(frozen=True)
@@ -140,3 +144,11 @@ def picture(plane: PlaneMap, proximity: float, actions: Array, ends: Array) -> N
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+
+
+def save_reduced(figure: Figure, path: Path) -> None:
+    """Write a PNG of few colours: panels full of coloured arrows take a fifth of the bytes."""
+    figure.savefig(path, dpi=_DPI)
+    with Image.open(path) as drawn:
+        reduced = drawn.convert("RGB").quantize(_COLOURS)
+    reduced.save(path, optimize=True, dpi=(_DPI, _DPI))

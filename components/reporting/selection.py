@@ -60,7 +60,7 @@ def selection_table(policies: pd.DataFrame, score: str) -> pd.DataFrame:
     return ordered.drop(columns="order")
 
 
-_KEYS: Final = ("dataset", "algorithm", "proximity", "seed", "step")
+_KEYS: Final = ("dataset", "algorithm", "proximity", "seed", "step", "policy")
 
 
 def selection_markdown(table: pd.DataFrame) -> str:

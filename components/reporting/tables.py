@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 _STATISTICS: Final = ("tenth_percentile", "standard_error", "mean", "std", "iqm")
+_INTERVAL: Final = ("interval_low", "interval_high")
 _TYPES: Final = {
     "dataset": "object",
     "algorithm": "object",
@@ -36,10 +37,13 @@ _TYPES: Final = {
     **dict.fromkeys(_STATISTICS, "float64"),
     "thesis_tenth_percentile": "float64",
     "thesis_standard_error": "float64",
+    **dict.fromkeys(_INTERVAL, "float64"),
 }
 COLUMNS: Final = tuple(_TYPES)
 _FORMER_NAMES: Final = {"lambda": "proximity"}
 """Columns that had another name in older files; in summaries they still have it."""
+_FORMER: Final = COLUMNS[: -len(_INTERVAL)]
+"""Columns of older files, which have no intervals."""
 
 
 @cache
@@ -58,10 +62,11 @@ def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
     Args:
         summaries: As aggregation stores them: each with ``dataset``, ``algorithm``, ``seeds`` and
-            ``points``, a list of statistics with ``lambda`` (None for fixed policies).
+            ``points``, a list of statistics with ``lambda`` (None for fixed policies) and, where
+            it is known, the interval of the 10th percentile.
 
     Returns:
-        The table; NaN where there is no proximity or no number of the thesis.
+        The table; NaN where there is no proximity, no number of the thesis or no interval.
     """
     rows = []
     for summary in summaries:
@@ -77,6 +82,7 @@ def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
                     **{name: point[name] for name in _STATISTICS},
                     "thesis_tenth_percentile": thesis[0],
                     "thesis_standard_error": thesis[1],
+                    **{name: point.get(name) for name in _INTERVAL},
                 }
             )
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(_TYPES)
@@ -129,6 +135,8 @@ def read_results(path: Path) -> pd.DataFrame:
         ValueError: The file has other columns.
     """
     table = pd.read_csv(path, float_precision="round_trip").rename(columns=_FORMER_NAMES)
+    if tuple(table.columns) == _FORMER:
+        table = table.reindex(columns=list(COLUMNS))
     if tuple(table.columns) != COLUMNS:
         raise ValueError(
             f"{path} has the columns {', '.join(table.columns)}; a table of results has "

@@ -18,6 +18,7 @@ from flows.configuration.files import (
     ConfFolder,
     foreign_in,
     names_in,
+    read_datasets,
     read_file,
     read_folder,
 )
@@ -70,7 +71,7 @@ class Layers:
         lower: Defaults of components with the datasets and domains of conf/.
         upper: What wins over them, conf/config.yaml with the profile, its `others` spelled out.
         base: Both merged.
-        datasets: The files of conf/dataset.
+        datasets: The files of conf/dataset, own ones too.
         domains: The files of conf/domain.
         foreign: Sentences about files of conf/ that are not read.
     """
@@ -96,7 +97,7 @@ def base_layers(profile: str) -> Layers:
             f"Unknown profile {profile!r}; valid ones are {', '.join(valid)}."
             + hint(profile, valid)
         )
-    datasets, domains = (read_folder(CONF / group) for group in ("dataset", "domain"))
+    datasets, domains = read_datasets(CONF / "dataset"), read_folder(CONF / "domain")
     chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )

@@ -1,5 +1,6 @@
 """The report of a sweep: table and figures of everything that is finished."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,8 @@ from components.core.files import write_text
 from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
+from components.reporting.overview import Overview, overview
+from components.reporting.overview_text import markdown_overview, text_overview
 from components.reporting.stored import ReportNodes
 from components.reporting.tables import (
     ended_notes,
@@ -22,9 +25,11 @@ from components.reporting.tables import (
 )
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
+from flows.report.comparison import comparable_behaviour, compare
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.returns import cell_returns, with_intervals
 from flows.report.selection import NOTHING_JUDGED, Selection, write_selection
 from flows.report.software import software_notes
 
@@ -40,21 +45,25 @@ class Report:
     Attributes:
         files: The table as CSV and as Markdown, figures.
         table: One row per dataset, algorithm and proximity.
+        overview: One row per dataset, one column per algorithm.
         summaries: The stored summaries behind the rows.
         without_system: Datasets whose policies cannot be evaluated.
         fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
         graphs: Sentences about trainings that have lost their CUDA graphs.
+        comparison: Sentences about what cannot be compared with the thesis.
         selection: Policies that were judged from their log.
     """
 
     files: Sequence[Path]
     table: pd.DataFrame
+    overview: Overview
     summaries: Sequence[Mapping[str, Any]]
     without_system: Sequence[str]
     fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
     graphs: Sequence[str] = ()
+    comparison: Sequence[str] = ()
     selection: Selection = NOTHING_JUDGED
 
     @property
@@ -63,6 +72,7 @@ class Report:
         reason = "has no system to evaluate on: its policies are "
         judged = {True: "judged from its log alone.", False: "stored but not evaluated."}
         return [
+            *self.comparison,
             *self.fit_notes,
             *ended_notes(self.summaries),
             *undefined_notes(self.summaries),
@@ -76,28 +86,49 @@ class Report:
 
     @property
     def headline(self) -> dict[str, list[tuple[int, float]]]:
-        """10th percentile per dataset and algorithm; the step is 100 times the proximity, or 0."""
-        return {
-            f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}": [
+        """10th percentile per dataset and algorithm, at the best proximity where there are several.
+
+        All of these stand under another name, with the step 100 times the proximity: MLflow lists
+        a curve by its last point.
+        """
+        shown: dict[str, list[tuple[int, float]]] = {}
+        for summary in self.summaries:
+            cell = f"{summary['dataset']}/{summary['algorithm']}"
+            curve = [
                 (round(100 * (point["lambda"] or 0.0)), point["tenth_percentile"])
                 for point in summary["points"]
             ]
-            for summary in self.summaries
-        }
+            best = max(curve, key=lambda point: -math.inf if math.isnan(point[1]) else point[1])
+            shown[f"tenth_percentile/{cell}"] = [(0, best[1])]
+            if len(curve) > 1:
+                shown[f"over_proximity/{cell}"] = curve
+        return shown
 
-    def lines(self) -> list[str]:
-        """What to print: the table, if it has rows, and notes on it."""
-        table = [] if self.table.empty else markdown_table(self.table).splitlines()
+    def lines(self, width: int) -> list[str]:
+        """What to print: the overview, if it has rows, and notes on it.
+
+        Args:
+            width: Of the window in characters.
+        """
+        table = []
+        if not self.table.empty:
+            table = [*text_overview(self.overview, width).splitlines(), "", *self.overview.notes()]
         return [*table, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
 
+    def markdown(self) -> str:
+        """The overview, what its signs mean, and the long form, as Markdown."""
+        signs = "".join(f"\n{note}\n" for note in self.overview.notes())
+        return f"{markdown_overview(self.overview)}{signs}\n{markdown_table(self.table)}"
 
-def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
+
+def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = "") -> Report:
     """Write table and figures of everything that is finished.
 
     Args:
         folder: Made if needed.
         plan: Of the sweep.
         store: With its artifacts.
+        about: Profile and seeds, for the titles of figures.
 
     Raises:
         DamagedFileError: A file that the report is made of is missing or damaged.
@@ -106,35 +137,43 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore) -> Report:
     done = [node for node in plan if store.complete(node.key)]
     aggregations = [node for node in done if node.component == "aggregation"]
     generations = [node for node in done if node.component == "data_generation"]
-    summaries = [with_undefined(store.read_json(node.key, "summary.json")) for node in aggregations]
+    summaries = [_summary(node, store) for node in aggregations]
     for node in generations:
         store.check(node.key, (_CARD,))
     cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
-    table = result_table(summaries)
+    table, comparison = result_table(summaries), compare(aggregations)
+    logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
-    files += _write_figures(folder, cards, _drawn(aggregations, summaries))
+    files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)
     returns = {card.name: card.first_window_return_mean for card in cards}
     selection = write_selection(folder, plan, done, store, returns)
     report = Report(
         [*files, *selection.files],
         table,
+        overview(table, logged, comparison.thesis, comparison.footnotes),
         summaries,
         _without_system(plan),
         fit_notes(done, store),
         software_notes(aggregations, store),
         graph_notes(done, store),
+        comparison.notes,
         selection,
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
     judged = "".join(f"{line}\n" for line in selection.lines)
     said = "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
-    text = markdown_table(table) + judged + said
+    text = report.markdown() + judged + said
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
     ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
     write_text(folder / "results.csv", results_csv(table))
     write_text(folder / "results.md", text)
     return report
+
+
+def _summary(cell: Node, store: ArtifactStore) -> dict[str, Any]:
+    stored = with_undefined(store.read_json(cell.key, "summary.json"))
+    return with_intervals(stored, cell_returns(cell, store), cell.config["pool_fraction"])
 
 
 def _without_system(plan: Plan) -> list[str]:
@@ -161,13 +200,16 @@ def _drawn(
 
 
 def _write_figures(
-    folder: Path, cards: Sequence[DatasetCard], drawn: Sequence[dict[str, Any]]
+    folder: Path,
+    logged: Mapping[str, float | None],
+    drawn: Sequence[dict[str, Any]],
+    about: str,
 ) -> list[Path]:
     files = []
-    for card in cards:
-        own = [summary for summary in drawn if summary["dataset"] == card.name]
-        figure = proximity_figure(card.name, own, card.first_window_return_mean)
+    for name, level in logged.items():
+        own = [summary for summary in drawn if summary["dataset"] == name]
+        figure = proximity_figure(name, own, math.nan if level is None else level, about)
         if figure is not None:
-            files.append(folder / f"{card.name}.png")
+            files.append(folder / f"{name}.png")
             save_figure(figure, files[-1])
     return files

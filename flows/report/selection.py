@@ -117,8 +117,9 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
 
     Returns:
         Columns ``dataset``, ``algorithm`` (of the variant), ``seed``, ``step``, ``proximity`` (NaN
-        where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``, and
-        ``true_return``, NaN where there is no evaluation.
+        where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``,
+        ``policy`` (the key by which other commands find it), and ``true_return``, NaN where there
+        is no evaluation.
     """
     finished = {node.key for node in done}
     parts = []
@@ -141,6 +142,7 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
             "proximity": proximities.ravel(),
             **{name: found[name].ravel() for name in _COLUMNS},
             **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in ESTIMATES},
+            "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),
         }
         evaluations = [

@@ -18,7 +18,13 @@ from components.data.dataset import OfflineDataset
 from components.environments.world.plane import CENTRE, SIDE, Plane, reward_at
 from components.policies.policy import Policy
 from components.reporting.figures import save_figure
-from components.reporting.policy_maps import PlaneMap, log_figure, panels_figure, picture
+from components.reporting.policy_maps import (
+    PlaneMap,
+    log_figure,
+    panels_figure,
+    picture,
+    save_reduced,
+)
 from components.reporting.ranking import markdown
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
@@ -33,7 +39,6 @@ _PLACES: Final = 15  # arrows along a side
 _PIXELS: Final = 101  # of the reward along a side
 _SHOTS: Final = 51  # pictures of the film, from proximity 0 to 1
 _PER_SECOND: Final = 8.0
-_COLOURS: Final = 128  # of the panels
 _LOGGED: Final = 2500  # positions shown, evenly taken from the log
 
 _THESIS: Final = """\
@@ -123,7 +128,7 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
     save_figure(log_figure(plane, to_nearest(places, goals), logged), files[0])
     shown = policies[0]
     maps = {p: (_act(shown, places, p), _ends(shown, places, p, steps)) for p in table["λ"]}
-    save_figure(panels_figure(plane, maps), files[1], colours=_COLOURS)
+    save_reduced(panels_figure(plane, maps), files[1])
     with video(files[2], _PER_SECOND) as film:
         for proximity in np.linspace(0.0, 1.0, _SHOTS):
             ends = _ends(shown, places, proximity, steps)

@@ -45,7 +45,7 @@ def test_a_killed_ray_sweep_ends_with_the_numbers_of_a_serial_one(
     assert tuple(expected[0]) == COLUMNS
     # LION at proximity 0, 0.5 and 1, and the others.
     assert [row["proximity"] for row in expected] == ["0.0", "0.5", "1.0", "", "", ""]
-    assert smoke.printed.startswith("| dataset")
+    assert smoke.printed.startswith("dataset ")
 
     words = ("profile=smoke", f"algorithms=[{','.join(CHOSEN)}]", "sweep=smoke")
     killed = tmp_path / "killed"

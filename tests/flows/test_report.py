@@ -10,6 +10,7 @@ import pytest
 from components.core.files import write_json
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.mujoco.specifications import HOPPER
+from components.reporting.overview import Overview
 from components.reporting.stored import open_report
 from flows.configuration.settings import load_settings
 from flows.pipeline.plan import Node, Plan
@@ -26,6 +27,7 @@ from tests.flows.pipeline.toys import record_of
 WORDS = [
     "profile=smoke", "algorithms=[mopo,lion]", "seeds=[0]", "mopo_penalties=[0,2.5]",
 ]  # fmt: skip
+EMPTY = Overview([], {}, {})
 POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm"], -1.0)
 
 
@@ -42,7 +44,8 @@ def finish(store: ArtifactStore, node: Node, files: dict[str, Any]) -> None:
 def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan, store = benchmark_plan(load_settings(WORDS)), ArtifactStore(tmp_path)
+    words = [*WORDS, "evaluation.horizon=100"]
+    plan, store = benchmark_plan(load_settings(words)), ArtifactStore(tmp_path)
     for number, node in enumerate(plan):
         if node.component == "data_generation":
             finish(store, node, {"dataset/card.json": {"first_window_return_mean": -2.0}})
@@ -55,16 +58,17 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     class Card:
         name, environment = "mediocre-0.2", INDUSTRIAL_BENCHMARK_ID
         first_window_return_mean, all_windows_return_mean = -2.0, -3.0
+        return_steps, discount = 100, 0.97
 
     drawn, behaviour = [], []
 
-    def draw(name: str, summaries: list[dict[str, Any]], mean: float) -> None:
+    def draw(name: str, summaries: list[dict[str, Any]], mean: float, about: str) -> None:
         drawn.extend(summaries)
-        behaviour.append((name, mean))
+        behaviour.append((name, mean, about))
 
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     monkeypatch.setattr(report, "proximity_figure", draw)
-    written = report.write_report(tmp_path / "reports" / "sweep", plan, store)
+    written = report.write_report(tmp_path / "reports" / "sweep", plan, store, "one seed")
     [table, _] = written.files
     labels = ["mopo-penalty-0", "mopo-penalty-2.5", "lion"]
     assert written.table["algorithm"].tolist() == labels
@@ -74,7 +78,9 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
     assert [row["algorithm"] for row in read] == labels
     assert len({row["mean"] for row in read}) == 3
     assert [summary["algorithm"] for summary in drawn] == ["lion"]
-    assert behaviour == [("mediocre-0.2", -2.0)]  # the first windows' mean, as policies are judged
+    assert behaviour == [
+        ("mediocre-0.2", -2.0, "one seed")
+    ]  # the first windows' mean, as policies are judged
     assert [s["algorithm"] for s in open_report(tmp_path, "sweep").summaries] == labels
 
 
@@ -91,6 +97,7 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
 
     class Card:
         name, first_window_return_mean, environment = "mediocre-0.2", 2.0, INDUSTRIAL_BENCHMARK_ID
+        return_steps, discount = 100, 0.97
 
     monkeypatch.setattr(report.DatasetCard, "load", lambda path: Card)
     [_, text] = report.write_report(tmp_path / "industrial", plan, store).files
@@ -162,8 +169,10 @@ def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> No
 
 
 def test_the_report_shows_the_note_on_software() -> None:
-    written = report.Report([], pd.DataFrame(), [], [], ["The cells come from different software."])
-    assert written.lines() == ["Note: The cells come from different software."]
+    written = report.Report(
+        [], pd.DataFrame(), EMPTY, [], [], ["The cells come from different software."]
+    )
+    assert written.lines(100) == ["Note: The cells come from different software."]
 
 
 def test_films_are_those_of_the_first_seed() -> None:
@@ -177,7 +186,7 @@ def test_films_are_those_of_the_first_seed() -> None:
     assert film_notes(plan, {"hopper"}) == []
 
 
-def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
+def test_the_headline_is_the_best_proximity_s_and_all_are_a_curve_over_its_percent() -> None:
     def summary(algorithm: str, *points: tuple[float | None, float]) -> dict[str, Any]:
         stored = [{"lambda": x, **POINT, "tenth_percentile": y} for x, y in points]
         return {"dataset": "bad-0.4", "algorithm": algorithm, "points": stored}
@@ -186,8 +195,9 @@ def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
         summary("lion", (0.0, -9.0), (0.55, -7.0), (1.0, -8.0)),
         summary("bc", (None, -6.0)),
     ]
-    assert report.Report([], pd.DataFrame(), summaries, []).headline == {
-        "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
+    assert report.Report([], pd.DataFrame(), EMPTY, summaries, []).headline == {
+        "tenth_percentile/bad-0.4/lion": [(0, -7.0)],
+        "over_proximity/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
     }
 
@@ -207,8 +217,8 @@ def test_lost_graphs_are_noted_under_the_table(tmp_path: Path) -> None:
         "Trained without CUDA graphs, which may take ten times as long: "
         f"{', '.join(node.name for node in policies[:3])} and 1 more (updates: no room)."
     )
-    written = report.Report([], pd.DataFrame(), [], [], graphs=[note])
-    assert written.lines() == [f"Note: {note}"]
+    written = report.Report([], pd.DataFrame(), EMPTY, [], [], graphs=[note])
+    assert written.lines(100) == [f"Note: {note}"]
 
 
 def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
@@ -240,6 +250,6 @@ def test_what_is_not_finite_is_noted_under_the_table(tmp_path: Path) -> None:
     text = (tmp_path / "reports" / "sweep" / "results.md").read_text()
     assert f"- {model}\n- {learned}\n- {returns}" in text
     assert "not finite" in text
-    assert f"Note: {model}" in written.lines()
+    assert f"Note: {model}" in written.lines(100)
     [shown] = open_report(tmp_path, "sweep").summaries
     assert shown["points"][0]["mean"] != shown["points"][0]["mean"]

@@ -20,8 +20,13 @@ def test_adaptive_policies_are_curves_and_the_others_dashed_lines(tmp_path: Path
     assert (dashed.get_linestyle(), dotted.get_linestyle()) == ("--", ":")
     assert set(dashed.get_ydata()) == {-77.0}
     assert set(dotted.get_ydata()) == {-76.5}
-    texts = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert texts == ["lion (mean ± sd of seeds)", "td3_bc (-77)", "logged behaviour"]
+    assert upper.get_legend() is None, "a legend would lie over lines"
+    assert [text.get_text() for text in upper.texts] == [
+        "lion -80",
+        "td3_bc -77",
+        "logged behaviour -76",
+    ]
+    assert all(text.xy[0] == 1.0 and text.xyann[0] > 0 for text in upper.texts), "right of the edge"
     assert "return" in upper.get_ylabel()
     assert "λ" in lower.get_xlabel()
     assert "distance" in lower.get_ylabel()
@@ -48,8 +53,21 @@ def test_a_diverged_policy_does_not_squeeze_the_others() -> None:
     low, high = upper.get_ylim()
     assert -100.0 < low < -92.0  # the band's lower end, and a margin
     assert -68.0 < high < -60.0
-    texts = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert "ddpg (-960)" in texts
+    [name] = [text for text in upper.texts if text.get_text() == "ddpg -960 ↓"]
+    assert name.xy == (1.0, 0.0), "at the edge beyond which it lies"
+
+
+def test_names_are_apart_and_the_title_tells_profile_and_seeds() -> None:
+    same = [TD3_BC | {"algorithm": f"twin{number}"} for number in range(12)]
+    figure = proximity_figure("toy", [LION, *same], float("nan"), "profile quick, 5 seeds")
+    assert figure is not None
+    upper = figure.axes[0]
+    heights = sorted(text.xy[1] for text in upper.texts)
+    assert min(np.diff(heights)) > 0.05
+    assert (min(heights), max(heights)) >= (0.0, 0.0)
+    assert max(heights) <= 1.0
+    assert upper.get_title() == "toy (profile quick, 5 seeds)"
+    assert not [text for text in upper.texts if "logged" in text.get_text()]
 
 
 def test_nothing_to_draw_without_adaptive_policies() -> None:

@@ -35,6 +35,8 @@ PROMISED = [
     "iqm",
     "thesis_tenth_percentile",
     "thesis_standard_error",
+    "interval_low",
+    "interval_high",
 ]
 
 
@@ -80,8 +82,8 @@ def test_a_figure_that_is_not_finite_is_shown() -> None:
     table = result_table([TD3_BC | {"points": [bad, bad | {"mean": -math.inf}]}])
     first, second = results_csv(table).splitlines()[1:]
     # what is not a number differs from what is not there
-    assert first == "mediocre-0.2,td3_bc,,5,10,nan,0.25,nan,1.5,-69.875,-77.7,0.1"
-    assert second == "mediocre-0.2,td3_bc,,5,10,nan,0.25,-inf,1.5,-69.875,-77.7,0.1"
+    assert first == "mediocre-0.2,td3_bc,,5,10,nan,0.25,nan,1.5,-69.875,-77.7,0.1,,"
+    assert second == "mediocre-0.2,td3_bc,,5,10,nan,0.25,-inf,1.5,-69.875,-77.7,0.1,,"
     assert markdown_table(table).count("not finite") == 4
 
 
@@ -133,6 +135,19 @@ def test_older_tables_call_the_proximity_lambda(tmp_path: Path) -> None:
     pandas.testing.assert_frame_equal(read_results(path), table)
 
 
+def test_older_tables_have_no_intervals(tmp_path: Path) -> None:
+    table = result_table([TD3_BC])
+    path = tmp_path / "results.csv"
+    path.write_text(results_csv(table.drop(columns=["interval_low", "interval_high"])))
+    pandas.testing.assert_frame_equal(read_results(path), table)
+
+
+def test_intervals_are_those_of_the_points() -> None:
+    known = point(None) | {"interval_low": -78.5, "interval_high": -76.25}
+    [row] = result_table([TD3_BC | {"points": [known]}]).to_dict("records")
+    assert (row["interval_low"], row["interval_high"]) == (-78.5, -76.25)
+
+
 def test_a_table_with_other_columns_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "results.csv"
     path.write_text("dataset,score\nx,1\n")
@@ -147,10 +162,10 @@ def test_markdown() -> None:
     assert all(set(cell) <= set("-:") for cell in cells[1])
     assert cells[2] == [
         "mediocre-0.2", "td3_bc", "", "5", "10", "-82.1", "0.2", "-77.0", "1.5", "-76.9", "-77.7",
-        "0.1",
+        "0.1", "", "",
     ]  # fmt: skip
     assert cells[4][2] == "0.50"
-    assert cells[4][-2:] == ["", ""]
+    assert cells[4][-4:] == ["", "", "", ""]
     assert len({len(line) for line in lines}) == 1, "columns are aligned"
 
 

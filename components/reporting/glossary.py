@@ -1,0 +1,38 @@
+"""What the words of a report mean, for readers who train no policies."""
+
+from typing import Final
+
+__all__ = ["GLOSSARY"]
+
+GLOSSARY: Final = (
+    ("log, dataset", "What was recorded while a controller ran the machine: states, actions and "
+     "rewards. Learners see nothing else."),
+    ("logged behaviour", "The controller that made the log, its random exploration included. Its "
+     "return is the mean over the first 100 steps of every logged episode."),
+    ("policy", "A rule that turns what is observed into an action: what a learner delivers."),
+    ("return", "The sum of rewards of an episode in the real system, later ones discounted. More "
+     "is better; on the Industrial Benchmark returns are negative, since rewards are costs."),
+    ("10th percentile", "The return that nine in ten of the pooled policies reach or exceed: a "
+     "cautious figure, as whoever deploys one policy gets one draw."),
+    ("pool", "The last tenth of the snapshots of all seeds. Ten policies of five seeds hold five "
+     "independent trainings, not ten."),
+    ("seed", "A training from other random numbers. The spread over seeds tells luck from merit."),
+    ("standard error", "The thesis's: 1.7 times the pool's standard deviation over the square root "
+     "of its size. It counts policies as if they were independent, and so is too small."),
+    ("95 % interval", "Of the 10th percentile: seeds are drawn with replacement, each with all of "
+     "its policies, two thousand times. With five seeds or fewer it is rough and rather narrow."),
+    ("λ (proximity)", "A knob of LION and its kin, set while the machine runs: 0 does what was "
+     "always done, 1 what the model thinks best. “Best λ” was picked after seeing the results."),
+    ("distance", "How far a policy's actions are from the logged behaviour's, on average."),
+    ("score", "A return between the floor of its system (0) and the best known return (1), so that "
+     "datasets can be averaged. A diverged policy scores 0."),
+    ("interquartile mean", "The mean of the middle half of all runs: neither single disasters nor "
+     "single strokes of luck decide it."),
+    ("performance profile", "For every score, the share of runs that exceed it."),
+    ("probability of improvement", "How often a run of one algorithm beats one of another on the "
+     "same dataset; 50 % is a draw."),
+    ("critical difference", "Nemenyi's: mean ranks that are closer are not told apart at 5 %. It "
+     "takes datasets as independent, which those of one machine are not quite."),
+    ("Spearman's correlation", "Whether two lists have the same order: 1 the same, 0 unrelated, −1 "
+     "reversed."),
+)  # fmt: skip

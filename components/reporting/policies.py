@@ -1,0 +1,36 @@
+"""The data behind a report: a row per policy, snapshot and proximity."""
+
+import numpy as np
+import pandas as pd
+
+from components.reporting.evidence import Cell, Evidence
+
+__all__ = ["policy_table"]
+
+
+def policy_table(evidence: Evidence) -> pd.DataFrame:
+    """Mean real return of every evaluated policy.
+
+    Returns:
+        `dataset`, `algorithm`, `seed`, `updates` at the snapshot, `proximity` (NaN where the policy
+        takes none), `return`, the return `logged` (NaN where that is counted otherwise), and
+        whether the policy is `pooled`.
+    """
+    return pd.concat([_rows(cell) for cell in evidence.cells.values()], ignore_index=True)
+
+
+def _rows(cell: Cell) -> pd.DataFrame:
+    seeds, snapshots, places = cell.returns.shape
+    seed, snapshot, place = (axis.ravel() for axis in np.indices((seeds, snapshots, places)))
+    return pd.DataFrame(
+        {
+            "dataset": cell.dataset,
+            "algorithm": cell.algorithm,
+            "seed": np.asarray(cell.seeds)[seed],
+            "updates": cell.steps[snapshot],
+            "proximity": cell.proximities[place],
+            "return": cell.returns.ravel(),
+            "logged": np.nan if cell.level is None else cell.level,
+            "pooled": snapshot >= snapshots - cell.pooled,
+        }
+    )

@@ -1,0 +1,109 @@
+"""The report of stored sweeps: ``python -m flows.report sweep=NAME``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator
+
+from flows.command_line import run_door
+from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.overrides import split_word
+from flows.pipeline.store import ArtifactStore
+from flows.report.gather import gather
+from flows.report.stored_nodes import has_cells, sweeps_of
+from flows.report.written import write_files
+
+__all__ = ["ReportSettings", "load_report_settings", "report"]
+
+HELP = """\
+usage: python -m flows.report [KEY=VALUE ...]
+
+Write the report of a sweep from its stored runs alone, in seconds, also while it is running: what
+is not finished is a gap. Several sweeps stand beside each other. The page needs no network and no
+other file.
+
+  sweep=NAME        of a sweep in the store, or sweep=[A,B]; may be left out if there is only one
+  format=html       or markdown, latex
+  figures=true      also every figure as SVG and PDF
+  store=mlruns      folder of the runs
+  out=FOLDER        where to write; STORE/reports/NAME by default
+"""
+
+
+def _names(given: Any) -> Any:
+    if not isinstance(given, str):
+        return given
+    names = tuple(name.strip() for name in given.removeprefix("[").removesuffix("]").split(","))
+    if not all(names) or len(set(names)) < len(names):
+        raise SettingsError(f"sweep={given} must name sweeps, each once; e.g. sweep=[old,new].")
+    return names
+
+
+class ReportSettings(StrictModel):
+    """What to report on, and how."""
+
+    sweep: Annotated[tuple[str, ...], BeforeValidator(_names)] = ()
+    format: Literal["html", "markdown", "latex"] = "html"
+    figures: bool = False
+    store: Path = Path("mlruns")
+    out: Path | None = None
+
+
+def load_report_settings(words: Sequence[str]) -> ReportSettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, str] = {}
+    for word in words:
+        key, value = split_word(word, lambda name: name == "figures")
+        if key in fields:
+            raise SettingsError(f"{key} is given twice; give it once.")
+        fields[key] = value
+    settings: ReportSettings = build_config(ReportSettings, "", fields)
+    if not (settings.store / "nodes").is_dir():
+        raise SettingsError(
+            f"store={settings.store} holds no runs; give the folder that a sweep has made."
+        )
+    return settings
+
+
+def report(settings: ReportSettings) -> int:
+    """Write the report and say where it is.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SettingsError: There is no such sweep, or nothing of it is finished.
+        DamagedFileError: A file behind the report is missing or damaged.
+    """
+    store = ArtifactStore(settings.store, create=False)
+    names = settings.sweep or _only(store)
+    evidence = gather(store, names)
+    folder = settings.out or settings.store / "reports" / "-and-".join(names)
+    files = write_files(folder, evidence, settings.format, figures=settings.figures)
+    finished, missing = len(evidence.cells), len(evidence.gaps)
+    print(f"{finished} of {finished + missing} cells are finished.")
+    for file in files:
+        print(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+    return 0
+
+
+def _only(store: ArtifactStore) -> tuple[str, ...]:
+    """The only sweep with results to report.
+
+    Raises:
+        SettingsError: There is none, or there are several.
+    """
+    names = [name for name in sweeps_of(store.root) if has_cells(store.root, name)]
+    if len(names) != 1:
+        there = f"there are {', '.join(names)}" if names else "it has none"
+        raise SettingsError(f"Name a sweep of {store.root}, e.g. sweep=NAME; {there}.")
+    return tuple(names)
+
+
+if __name__ == "__main__":
+    run_door("report", HELP, load_report_settings, report)
