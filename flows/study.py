@@ -69,13 +69,14 @@ def _study(study: Study, settings: Settings) -> int:
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         store = ArtifactStore(settings.store)
-        written = write_report(folder, plan, store)
+        written = write_report(folder, plan, store, f"study {study.name}")
         for note in written.notes:
             print(f"Note: {note}")
         if not all(store.complete(node.key) for node in plan):
             return written.files, written.headline
         drawn = study.draw(plan, store, folder)
         print(f"{drawn.text}\nFigures and tables: {folder}/")
+        print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
         return [*written.files, *drawn.files], written.headline
 
     return run_sweep(settings, name, plan, report)

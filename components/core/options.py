@@ -5,10 +5,11 @@ results of a component strangers. An *option* counts only where it is taken: at 
 changes nothing, and is left out of what identifies a result.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, field, fields
 from typing import Any, Final, TypeVar
 
-__all__ = ["identity", "option"]
+__all__ = ["identity", "option", "with_options"]
 
 _OPTION: Final = "option"
 T = TypeVar("T")
@@ -27,3 +28,14 @@ def identity(config: Any) -> dict[str, Any]:
         if _OPTION in entry.metadata and whole[entry.name] == entry.default:
             del whole[entry.name]
     return whole
+
+
+def with_options(kind: type[Any], recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as :func:`identity` recorded them, with the options that were not taken.
+
+    Args:
+        kind: The dataclass of the settings.
+        recorded: Of any version of it.
+    """
+    options = {f.name: f.default for f in fields(kind) if _OPTION in f.metadata}
+    return options | dict(recorded)

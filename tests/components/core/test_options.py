@@ -1,8 +1,8 @@
 """Settings that came later leave the identity of earlier results as it was."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
-from components.core.options import identity, option
+from components.core.options import identity, option, with_options
 
 
 @dataclass(frozen=True)
@@ -22,3 +22,4 @@ def test_options_count_only_where_they_are_taken() -> None:
 def test_what_is_left_out_comes_back_as_its_default() -> None:
     for settings in (Settings(), Settings(kind="odd"), Settings(limit=1.0)):
         assert Settings(**identity(settings)) == settings
+        assert with_options(Settings, identity(settings)) == asdict(settings)
