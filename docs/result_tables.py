@@ -1,4 +1,4 @@
-"""Make the result tables of README.md and docs/results.md: ``python -m docs.result_tables``.
+"""Make the result tables of README.md and docs/: ``python -m docs.result_tables``.
 
 The numbers come from docs/results/ and from the thesis's tables in the package. A table stands
 between two comments, ``<!-- table NAME -->`` and ``<!-- end of NAME -->``; what was there is
@@ -15,7 +15,7 @@ import pandas as pd
 from components.reporting.tables import thesis_numbers
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PAGES: Final = (ROOT / "README.md", ROOT / "docs" / "results.md")
+PAGES: Final = (ROOT / "README.md", *(ROOT / "docs" / f"{n}.md" for n in ("results", "world")))
 
 _DATA: Final = ROOT / "docs" / "results"
 _NAMES: Final = {
@@ -33,6 +33,9 @@ _OTHERWISE: Final = "ddpg"
 
 _APART: Final = 2.0
 """Combined standard errors from which on two results are said to differ."""
+
+_HAPPENS: Final = 0.6
+"""The λ from which on policies of the 2-D world leave the log."""
 
 Numbers = Mapping[tuple[str, str], tuple[float, float]]
 """(dataset, column) -> (10th percentile, standard error)."""
@@ -125,7 +128,20 @@ def beside() -> str:
     return _markdown(["dataset", *heads], rows)
 
 
-TABLES: Final[Mapping[str, Callable[[], str]]] = {"front": front, "full": full, "beside": beside}
+def world() -> str:
+    """The 2-D world over λ; where little happens, one row in four."""
+    table = pd.read_csv(_DATA / "world-2026-11.csv")
+    shown = table[(table["λ"] >= _HAPPENS) | ((table["λ"] * 5) % 1 < 1e-9)]
+    rows = ([f"{value:.2f}" for value in row] for row in shown.to_numpy())
+    return _markdown(list(table.columns), rows)
+
+
+TABLES: Final[Mapping[str, Callable[[], str]]] = {
+    "front": front,
+    "full": full,
+    "beside": beside,
+    "world": world,
+}
 
 
 def filled(text: str) -> str:

@@ -46,6 +46,7 @@ __all__ = [
     "make_tracker",
     "run_door",
     "run_sweep",
+    "show_or_do",
     "window_width",
 ]
 
@@ -90,16 +91,23 @@ def main(
         aliases: Short keys of its command line and the full keys they stand for.
     """
 
-    def shown_or_done(settings: Settings) -> int:
-        for note in settings.notes:
-            print(f"Note: {note}", file=sys.stderr)
-        if not settings.show_settings:
-            check_store(settings.store)
-            return body(settings)
+    run_door(
+        door,
+        help_text,
+        lambda words: load_settings(words, aliases),
+        lambda settings: show_or_do(settings, body),
+    )
+
+
+def show_or_do(settings: Settings, body: Callable[[Settings], int]) -> int:
+    """Print the settings if that is wanted, else do the work of a door; returns its exit code."""
+    for note in settings.notes:
+        print(f"Note: {note}", file=sys.stderr)
+    if settings.show_settings:
         print(settings_yaml(settings), end="")
         return 0
-
-    run_door(door, help_text, lambda words: load_settings(words, aliases), shown_or_done)
+    check_store(settings.store)
+    return body(settings)
 
 
 def run_door(

@@ -20,7 +20,8 @@ report. Everything finished is kept under mlruns/ and reused. To continue a swee
 give the same command again.
 
   profile=smoke|quick|paper       budgets and selection; paper is the default
-  datasets=[a,b]                  names in conf/dataset, or all: every file there
+  datasets=[a,b]                  names in conf/dataset, or all: every file there that
+                                  does not say by_name_only
   algorithms=[a,b]                names in components/algorithms, or all
   seeds=[0,1]                     whole numbers
   algorithm.NAME.KEY=VALUE        a setting of an algorithm, e.g. algorithm.lion.updates=200

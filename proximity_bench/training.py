@@ -151,7 +151,8 @@ def _settings(
         valid = ", ".join(ALGORITHMS)
         said = f"Unknown algorithm {algorithm!r}; valid ones are {valid}."
         raise ValueError(said + hint(algorithm, ALGORITHMS))
-    needs = ALGORITHMS[algorithm].needs
+    record = ALGORITHMS[algorithm]
+    needs = tuple(dict.fromkeys((*record.needs, *record.transitions)))
     for model in models:
         if model not in needs:
             valid = f"its models are {', '.join(needs)}" if needs else "it needs no models"
@@ -173,7 +174,7 @@ def _settings(
     chosen = settings_of(PROFILE, given, {})
     chosen = chosen.model_copy(update={"dataset": {name: source}})
     check_size(name, source)
-    for config in _models(chosen, name, ALGORITHMS[algorithm]).values():
+    for config in _models(chosen, name, record).values():
         check_model(chosen, name, config)
     check_algorithm(chosen, name, algorithm)
     return chosen
@@ -182,7 +183,8 @@ def _settings(
 def _models(settings: Settings, dataset: str, record: Algorithm[Any]) -> dict[str, Any]:
     """Configuration objects of the models that an algorithm needs."""
     own = settings.models_for(dataset, record.name)
-    return {name: own.get(name, settings.model_on(dataset, name)) for name in record.needs}
+    needs = record.models_for(settings.algorithm_on(dataset, record.name))
+    return {name: own.get(name, settings.model_on(dataset, name)) for name in needs}
 
 
 def chosen_device(name: str) -> torch.device:

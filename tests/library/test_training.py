@@ -61,6 +61,17 @@ def test_every_algorithm_trains_and_acts(algorithm: str) -> None:
     assert (np.abs(action) <= 1).all()
 
 
+def test_lion_learns_in_the_models_that_it_is_told() -> None:
+    asked = {name: MODELS[name] for name in ("behaviour_policy", "deterministic_ensemble")}
+    small = SMALL["lion"] | {"updates": 6, "transition": "deterministic_ensemble"}
+    policy = pb.train(LOG, "lion", models=asked, progress=False, **small)
+    assert not np.array_equal(
+        policy.act(LOG.frames[:2], 0.5), trained("lion").act(LOG.frames[:2], 0.5)
+    )
+    with pytest.raises(ValueError, match="its models are behaviour_policy, recurrent_ensemble, de"):
+        pb.train(LOG, "lion", models={"action_vae": {}}, progress=False)
+
+
 def nodes_of(plan: Sequence[Node], component: str) -> list[Node]:
     return [node for node in plan if node.component == component]
 
