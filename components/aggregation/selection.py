@@ -95,8 +95,8 @@ SCORES: Final[Mapping[str, Score]] = MappingProxyType(
 """
 
 
-DEFAULT_SCORE: Final = "least_of_both"
-"""Chosen by its regret over the datasets that have a system, see docs/judging.md."""
+DEFAULT_SCORE: Final = "cautious_0.5"
+"""Of least regret over the sixteen datasets of the Industrial Benchmark, see docs/judging.md."""
 
 
 def scored(table: pd.DataFrame) -> pd.DataFrame:
@@ -114,7 +114,7 @@ def quality(table: pd.DataFrame, behaviour_return: float) -> pd.DataFrame:
     Returns:
         A row a score: ``spearman``, ``regret_1``, ``regret_5`` in returns, ``caught`` and
         ``exploits_caught`` and ``cleared`` as shares, NaN where there are no such policies; and
-        ``relative_regret_1``, regret as a share of the range of true returns.
+        ``relative_regret``, the mean of both regrets as a share of the range of true returns.
     """
     true = table["true_return"].to_numpy()
     best, spread = true.max(), np.ptp(true)
@@ -132,7 +132,7 @@ def quality(table: pd.DataFrame, behaviour_return: float) -> pd.DataFrame:
                 "spearman": _correlation(score, true),
                 "regret_1": regret[0],
                 "regret_5": regret[1],
-                "relative_regret_1": regret[0] / spread if spread else 0.0,
+                "relative_regret": sum(regret) / len(regret) / spread if spread else 0.0,
                 "caught": _share(score < 0, harmful),
                 "exploits_caught": _share(score < 0, exploit),
                 "cleared": _share(score > 0, better),
@@ -153,7 +153,7 @@ def _share(of: np.ndarray, among: np.ndarray) -> float:
 
 
 def chosen_blind(qualities: pd.DataFrame, groups: Sequence[str]) -> dict[str, str]:
-    """For each group of datasets the best score on all others, by relative regret at 1.
+    """For each group of datasets the best score on all others, by relative regret.
 
     Args:
         qualities: Rows of :func:`quality` with a column ``group``.
@@ -162,5 +162,5 @@ def chosen_blind(qualities: pd.DataFrame, groups: Sequence[str]) -> dict[str, st
     chosen = {}
     for group in groups:
         others = qualities[qualities["group"] != group]
-        chosen[group] = str(others.groupby("score")["relative_regret_1"].mean().idxmin())
+        chosen[group] = str(others.groupby("score")["relative_regret"].mean().idxmin())
     return chosen

@@ -33,7 +33,7 @@ _QUALITIES: Final = {
     "spearman": 2,
     "regret_1": 1,
     "regret_5": 1,
-    "relative_regret_1": 2,
+    "relative_regret": 2,
     "caught": 2,
     "exploits_caught": 2,
     "cleared": 2,
