@@ -1,6 +1,6 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -8,8 +8,15 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from components.aggregation.selection import DEFAULT_SCORE, ESTIMATES, SCORES, scored
+from components.aggregation.selection import (
+    DEFAULT_SCORE,
+    ESTIMATES,
+    SCORES,
+    chosen_blind,
+    scored,
+)
 from components.core.files import write_text
+from components.data.card import DatasetCard
 from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node, Plan
@@ -64,7 +71,7 @@ def write_selection(
     plan: Plan,
     done: Sequence[Node],
     store: ArtifactStore,
-    behaviour_returns: Mapping[str, float],
+    cards: Sequence[DatasetCard],
 ) -> Selection:
     """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
 
@@ -73,7 +80,7 @@ def write_selection(
         plan: Of the sweep.
         done: Its finished nodes.
         store: With their artifacts.
-        behaviour_returns: Mean return of the controller that logged each dataset.
+        cards: Of the datasets.
 
     Raises:
         DamagedFileError: A judgement is missing or damaged.
@@ -91,7 +98,11 @@ def write_selection(
         "",
         *selection_markdown(table).splitlines(),
     ]
-    judges = judge_table(policies, behaviour_returns)
+    judges = judge_table(
+        policies,
+        {card.name: card.first_window_return_mean for card in cards},
+        {card.name: card.controller for card in cards},
+    )
     if not judges.empty:
         written["judges"] = judges
         means = judges.groupby("score", sort=False)[list(_QUALITIES)].mean().loc[list(SCORES)]
@@ -100,11 +111,26 @@ def write_selection(
             f"How well judges rank, mean of {judges['dataset'].nunique()} datasets:",
             "",
             *markdown(means.reset_index(), _QUALITIES).splitlines(),
+            *_blind(judges),
         ]
     files = [folder / f"{name}.csv" for name in written]
     for path, content in zip(files, written.values(), strict=True):
         write_text(path, content.to_csv(index=False, lineterminator="\n"))
     return Selection(files, lines, frozenset(policies["dataset"]))
+
+
+def _blind(judges: pd.DataFrame) -> list[str]:
+    """What would have been chosen for each controller's logs by those of the others."""
+    groups = list(judges["group"].unique())
+    if len(groups) < 2:
+        return []
+    regrets = judges.groupby(["group", "score"])["relative_regret"].mean()
+    found = [
+        f"{group}: {score} ({regrets[group, score]:.2f})"
+        for group, score in chosen_blind(judges, groups).items()
+    ]
+    said = "Of least relative regret on the logs of all other controllers (and the regret here): "
+    return ["", f"{said}{'; '.join(found)}."]
 
 
 def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
