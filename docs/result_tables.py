@@ -191,7 +191,7 @@ def blind() -> str:
             who = "chosen blind" if score == chosen else "the default"
             if chosen == DEFAULT_SCORE:
                 who += ", which is the default"
-            rows.append([f"{group}: `{score}`, {who}", *cells])
+            rows.append([f"{group}: `{score}`, {who}", *(c.replace("nan", "") for c in cells)])
     return _markdown(["logs", *(name.replace("_", " ") for name in shown)], rows)
 
 
