@@ -13,7 +13,7 @@ _KEYS: Final = ["algorithm", "seed", "proximity"]
 _ESTIMATES: Final = {
     "model": "the judges' ensemble",
     "fitted_q": "fitted Q evaluation",
-    "score_cautious_1": "the ensemble, less a price for the share outside",
+    "score_cautious_0.5": "the ensemble, less a price for the share outside",
     "outside": "share outside of the log's support, less is better",
 }
 

@@ -55,7 +55,7 @@ def judged(returns: list[float], **estimates: list[float]) -> tuple[pd.DataFrame
     keys = pd.DataFrame(
         {"algorithm": "lion", "seed": 0, "proximity": np.linspace(0, 1, len(returns))}
     )
-    empty = {name: returns for name in ("model", "fitted_q", "score_cautious_1", "outside")}
+    empty = {name: returns for name in ("model", "fitted_q", "score_cautious_0.5", "outside")}
     judgements = keys.assign(true_return=np.nan, **{**empty, **estimates})
     return judgements, keys.assign(**{"return": returns}, euros_per_hour=returns)
 
