@@ -68,7 +68,7 @@ def test_estimates_are_ranked_beside_the_plant() -> None:
     joined["score_odd"] = [0.0, 1.0, 2.0]
     table = chosen(joined).set_index("score")
     assert table["proximity"].to_dict() == {
-        "cautious_1": 0.5, "odd": 1.0, "(truth)": 0.5,
+        "cautious_0.5": 0.5, "odd": 1.0, "(truth)": 0.5,
     }  # fmt: skip
     assert table.loc["odd", "euros_per_hour"] == -2.0
     figure = comparison_figure(joined, {"return": -2.5})
