@@ -17,7 +17,14 @@ from flows.pipeline.computer import cpu_seconds, hardware, set_precision, softwa
 from flows.pipeline.costs import RULES
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work, disk_error_message
-from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
+from flows.pipeline.task import (
+    FAILURE_FILE,
+    Job,
+    PauseRequested,
+    StopRequested,
+    TaskContext,
+    load_task,
+)
 
 __all__ = ["REPAIR_REMEDY", "GroupCall", "GroupResult", "run_group"]
 
@@ -93,7 +100,7 @@ class GroupResult:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
-        stopped: Keys whose computation the driver has stopped.
+        stopped: Keys whose computation the driver has stopped, for good or at a checkpoint.
         damaged: Why an input could not be read, by its key.
         notes: What people should know, a sentence each.
     """
@@ -113,7 +120,7 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
 
     Args:
         call: The group.
-        watch: Called at every validation, see :class:`flows.pipeline.task.TaskContext`.
+        watch: Called at every report, see :class:`flows.pipeline.task.TaskContext`.
     """
     os.environ["OMP_NUM_THREADS"] = str(call.threads)
     store = ArtifactStore(call.root, create=False)
@@ -126,7 +133,9 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
                 if store.unfinished(work) & set(keys):
                     store.publish_ready(work)
             pending = [node for node in call.nodes if not _is_finished(store, call, node, result)]
-            if pending:
+            if pending and store.pause_file(call.group).exists():
+                result.stopped = [node["key"] for node in pending]
+            elif pending:
                 _compute(store, call, pending, result, watch)
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
@@ -216,6 +225,7 @@ def _make(
         threads=call.threads,
         progress_file=store.progress_file(call.group),
         stop_file=store.stop_file(call.group),
+        pause_file=store.pause_file(call.group),
         watch=watch,
     )
     task = load_task(call.task)
@@ -227,6 +237,9 @@ def _make(
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
         task(jobs, context)
+    except PauseRequested:
+        result.stopped = keys
+        return
     except StopRequested:
         result.stopped = keys
         store.discard(work)
