@@ -51,7 +51,7 @@ class DriverRecord:
         running: Keys of the groups that an executor has taken, by group.
         failed: Last line of the reason, by key.
         skipped: By key of a node not run, the key of the failed one it needs.
-        stopping: Why it is stopping.
+        stopping: Why it is stopping, or has stopped; empty if it was not asked to.
         ended: FINISHED, FAILED or KILLED; empty while it runs.
     """
 
@@ -131,8 +131,9 @@ class Driver:
 
     def end(self) -> None:
         """Writes the last record and forgets requests."""
-        _request(self._root, self._record.name).unlink(missing_ok=True)
-        self.write(replace(self._record, running={}, stopping="", ended=self.status))
+        self.write(replace(self._record, running={}, ended=self.status))
+        with suppress(OSError):
+            _request(self._root, self._record.name).unlink(missing_ok=True)
 
     def write(self, record: DriverRecord | None = None) -> None:
         """Writes a record as of now."""
@@ -208,13 +209,27 @@ def is_alive(root: Path, record: DriverRecord, now: float) -> bool:
     return now - record.beat < _SILENCE
 
 
-def ask_to_stop(root: Path, record: DriverRecord) -> None:
-    """Asks a driver to stop; it looks several times a minute or more often.
+def ask_to_stop(root: Path, record: DriverRecord, now: float) -> bool:
+    """Asks a driver to stop, which looks whenever it looks at its workers.
+
+    Args:
+        root: Folder of the store.
+        record: What the driver has told last.
+        now: Seconds since 1970.
+
+    Returns:
+        Whether it runs; nothing is left behind if it does not.
 
     Raises:
         OSError: the store cannot be written.
     """
-    write_text(_request(root, record.name), record.id)
+    if is_alive(root, record, now):
+        write_text(_request(root, record.name), record.id)
+        last = read_driver(root, record.name) or record
+        if is_alive(root, last, now):  # it may have ended just before it could see this
+            return True
+    _request(root, record.name).unlink(missing_ok=True)
+    return False
 
 
 def _acquired(lock: Lock, number: int) -> bool:

@@ -41,8 +41,8 @@ class Stop:
             if self.why:
                 self._since = self._clock()
                 self._note(
-                    f"Stopping, since {self.why}: what runs ends at its next checkpoint, within "
-                    f"{PATIENCE:.0f} seconds."
+                    f"Stopping, since {self.why}: what runs ends at its next checkpoint, or "
+                    f"after {PATIENCE:.0f} seconds without one."
                 )
         if self.why:
             for group in running:
