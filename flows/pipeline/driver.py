@@ -112,10 +112,20 @@ class Driver:
         slots: int,
         device: str,
         stopping: str,
+        last: bool = False,
     ) -> None:
-        """Writes what has changed, or a sign of life; a disk that is full is no reason to end."""
+        """Writes what has changed, or a sign of life; a disk that is full is no reason to end.
+
+        Args:
+            outcome: Of the run so far.
+            running: Keys of the groups that an executor has taken, by group.
+            slots: Groups that run at once.
+            device: "cpu" or "cuda".
+            stopping: Why the run is stopping; empty if it is not.
+            last: Whether to write in any case.
+        """
         silent = self._clock() - self._record.beat
-        if 0.0 <= silent < _BETWEEN:
+        if 0.0 <= silent < _BETWEEN and not last:
             return
         state = replace(
             self._record,
@@ -126,7 +136,7 @@ class Driver:
             skipped=dict(outcome.skipped),
             stopping=stopping,
         )
-        if state != self._record or not 0.0 <= silent < _BEAT:
+        if last or state != self._record or not 0.0 <= silent < _BEAT:
             self.write(state)
 
     def end(self) -> None:

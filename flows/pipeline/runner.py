@@ -124,6 +124,7 @@ class _Run:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
                 self.stop.forget(self.running)
+                self._tell(last=True)
                 self.display.stop(self.run_state)
         self.outcome.unrecorded = self.recorder.refusal
         for sentence in self.outcome.sentences(self.command, len(self.recorder.waiting)):
@@ -144,11 +145,14 @@ class _Run:
 
     def _look(self) -> None:
         """Tells others how the run goes, and asks what runs to end if it is to stop."""
+        self._tell()
+        self.stop.look(self.running)
+
+    def _tell(self, *, last: bool = False) -> None:
         if self.driver is not None:
             running = {name: group.keys for name, group in self.running.items()}
             slots, device = self.executor.slots, self.executor.device
-            self.driver.tell(self.outcome, running, slots, device, self.stop.why)
-        self.stop.look(self.running)
+            self.driver.tell(self.outcome, running, slots, device, self.stop.why, last)
 
     def _begin_another_pass(self) -> bool:
         """Makes again what was found damaged, and what was made from another input."""
