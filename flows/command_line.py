@@ -33,7 +33,7 @@ from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
-from flows.planning.memory import check_capacity, total_memory
+from flows.planning.memory import check_capacity, needs, total_memory
 
 __all__ = [
     "COMMON_HELP",
@@ -151,6 +151,7 @@ def run_sweep(
     plan: Plan,
     report: ReportWriter,
     params: Mapping[str, str] | None = None,
+    about: str = "",
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
 
@@ -161,6 +162,7 @@ def run_sweep(
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
+        about: What the plan is, in a sentence; shown before it.
 
     Returns:
         The exit code.
@@ -174,6 +176,8 @@ def run_sweep(
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
+    if about:
+        display.note(about)
     repairs = settings.runner.repair == "recompute"
     found = audit(plan, store)
     if not repairs:
@@ -181,7 +185,10 @@ def run_sweep(
     seconds = display.show_plan(plan, store, executor.slots, found, executor.device)
     pending = form_groups(plan, (n.key for n in plan if n.key not in found.finished), store)
     if not os.environ.get("RAY_ADDRESS"):  # a cluster's computers may be larger
-        check_capacity(pending, total_memory(executor.device), settings.store)
+        memory = total_memory(executor.device)
+        check_capacity(pending, memory, settings.store)
+        if pending:
+            display.note(needs(pending, memory, settings.store))
     if seconds > _YEAR and not settings.yes:
         raise SettingsError(
             f"This is estimated to take {duration(seconds)}; choose less, or add yes=true."

@@ -24,6 +24,7 @@ TOGETHER = {
     "tests/flows/tuning/test_ray.py": "ray",
     "tests/flows/status/test_toy_sweep.py": "ray",
     "tests/flows/status/test_status_of_a_benchmark.py": "ray",
+    "tests/flows/planning/test_cells.py": "ray",
     "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/test_notebooks.py": "ray",

@@ -99,7 +99,7 @@ class _Run:
             found.refuse()
         self.outcome.reused = [node.key for node in self.plan if node.key in found.finished]
         pending = [node.key for node in self.plan if node.key not in found.finished]
-        groups = form_groups(self.plan, pending, self.store)
+        groups = form_groups(self.plan, pending, self.store, self.executor.slots)
         self.run_state = RunState(
             self.plan,
             groups,
@@ -175,7 +175,7 @@ class _Run:
         if not pending:
             return False
         self._forget(pending)
-        groups = form_groups(self.plan, pending, self.store)
+        groups = form_groups(self.plan, pending, self.store, self.executor.slots)
         self.run_state.again(groups)
         self._begin(groups)
         return True
@@ -228,7 +228,7 @@ class _Run:
         settled = self.waiting.keys() | self.running.keys()
         ready = sorted(
             (group for group in self.waiting.values() if not group.needs & settled),
-            key=lambda group: (-group.priority, group.name),
+            key=lambda group: group.order,
         )
         for group in ready[: max(0, room)]:
             del self.waiting[group.name]

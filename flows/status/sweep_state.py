@@ -183,7 +183,7 @@ def _remaining(
 ) -> float | None:
     if not left:
         return None
-    groups = form_groups(plan, left, store)
+    groups = form_groups(plan, left, store, slots)
     running = {key: call for call in calls for key in call.nodes}
     seconds, started = {}, []
     for group in groups:
