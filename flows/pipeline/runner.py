@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from flows.pipeline.audit import Audit, audit
 from flows.pipeline.driver import Driver
 from flows.pipeline.executors.executor import Executor
+from flows.pipeline.failures import REPAIR_REMEDY
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -21,7 +22,7 @@ from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
-from flows.pipeline.worker import REPAIR_REMEDY, GroupCall, GroupResult
+from flows.pipeline.worker import GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
 
@@ -123,8 +124,8 @@ class _Run:
         finally:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
+                self._look(last=True)
                 self.stop.forget(self.running)
-                self._tell(last=True)
                 self.display.stop(self.run_state)
         self.outcome.unrecorded = self.recorder.refusal
         for sentence in self.outcome.sentences(self.command, len(self.recorder.waiting)):
@@ -143,16 +144,9 @@ class _Run:
         while self.running and not self.stop.over:
             self._step()
 
-    def _look(self) -> None:
+    def _look(self, *, last: bool = False) -> None:
         """Tells others how the run goes, and asks what runs to end if it is to stop."""
-        self._tell()
-        self.stop.look(self.running)
-
-    def _tell(self, *, last: bool = False) -> None:
-        if self.driver is not None:
-            running = {name: group.keys for name, group in self.running.items()}
-            slots, device = self.executor.slots, self.executor.device
-            self.driver.tell(self.outcome, running, slots, device, self.stop.why, last)
+        self.stop.look(self.outcome, self.running, self.executor, last=last)
 
     def _begin_another_pass(self) -> bool:
         """Makes again what was found damaged, and what was made from another input."""

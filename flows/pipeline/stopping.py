@@ -1,9 +1,12 @@
 """A clean stop: nothing new begins, and what runs ends at its next checkpoint."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from flows.pipeline.driver import Driver
+from flows.pipeline.executors.executor import Executor
+from flows.pipeline.outcome import Outcome
+from flows.pipeline.schedule import Group
 from flows.pipeline.store import ArtifactStore
 
 __all__ = ["PATIENCE", "Stop"]
@@ -30,13 +33,27 @@ class Stop:
         self._store, self._driver, self._note, self._clock = store, driver, note, clock
         self._since = 0.0
 
-    def look(self, running: Iterable[str]) -> None:
-        """Looks for a reason, and asks running groups to end at their next checkpoint.
+    def look(
+        self,
+        outcome: Outcome,
+        running: Mapping[str, Group],
+        executor: Executor,
+        *,
+        last: bool = False,
+    ) -> None:
+        """Tells the driver how the run goes, and asks running groups to end if it is to stop.
 
         Args:
-            running: Their names.
+            outcome: Of the run so far.
+            running: Groups that the executor has taken, by name.
+            executor: Computes them.
+            last: Whether the run has ended.
         """
-        if not self.why and self._driver is not None:
+        if self._driver is None:
+            return
+        keys = {name: group.keys for name, group in running.items()}
+        self._driver.tell(outcome, keys, executor.slots, executor.device, self.why, last)
+        if not self.why and not last:
             self.why = self._driver.reason_to_stop()
             if self.why:
                 self._since = self._clock()

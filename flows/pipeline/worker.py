@@ -4,7 +4,6 @@ import os
 import resource
 import sys
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +14,9 @@ from components.core.sealed import content_digest, seal
 from components.core.version import code_version
 from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
 from flows.pipeline.costs import RULES
+from flows.pipeline.failures import failure_reason
 from flows.pipeline.plan import Node
-from flows.pipeline.store import ArtifactStore, Work, disk_error_message
+from flows.pipeline.store import ArtifactStore, Work
 from flows.pipeline.task import (
     FAILURE_FILE,
     Job,
@@ -26,9 +26,7 @@ from flows.pipeline.task import (
     load_task,
 )
 
-__all__ = ["REPAIR_REMEDY", "GroupCall", "GroupResult", "run_group"]
-
-REPAIR_REMEDY = "runner.repair=recompute has it made again"
+__all__ = ["GroupCall", "GroupResult", "run_group"]
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,7 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
-        reason = _reason(error, store)
+        reason = failure_reason(error, store.root)
         result.failed.update({key: reason for key in keys if not store.complete(key)})
     unmade = {*result.failed, *result.stopped}
     result.finished = [key for key in keys if key not in unmade and store.complete(key)]
@@ -297,17 +295,3 @@ def _describe(
     described |= {"hardware": hardware(usage["device"]), "package": code_version()}
     described |= {"software": software(usage["device"])}
     seal(out, described)
-
-
-def _reason(error: BaseException, store: ArtifactStore) -> str:
-    text = "".join(traceback.format_exception(error)).rstrip()
-    sentence = disk_error_message(error, store.root)
-    if isinstance(error, DamagedFileError):
-        sentence = f"{error.sentence}; {REPAIR_REMEDY}."
-    if sentence is None and (
-        isinstance(error, MemoryError) or "out of memory" in str(error).lower()
-    ):
-        sentence = (
-            "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
-        )
-    return f"{text}\n{sentence}" if sentence else text

@@ -12,9 +12,10 @@ from flows.pipeline.driver import Driver, DriverRecord, ask_to_stop, driving, is
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.limits import Limit
-from flows.pipeline.outcome import STOPPED
+from flows.pipeline.outcome import STOPPED, Outcome
 from flows.pipeline.plan import Plan
 from flows.pipeline.runner import run_plan
+from flows.pipeline.schedule import Group
 from flows.pipeline.stopping import PATIENCE, Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import TaskContext
@@ -114,11 +115,12 @@ def test_a_stop_that_finds_everything_done_is_none(store: ArtifactStore, log: Pa
     assert (outcome.exit_code, outcome.stopped) == (0, "")
 
 
-def test_running_groups_have_two_minutes(store: ArtifactStore) -> None:
+def test_running_groups_have_two_minutes(store: ArtifactStore, log: Path) -> None:
     clock = Clock()
     stop = Stop(store, driver_of(store, lambda: "late"), lambda text: None, clock)
     assert not stop.over
-    stop.look(["group"])
+    group = Group("group", [node("number", "n", log, number=1)], set())
+    stop.look(Outcome(), {"group": group}, SerialExecutor())
     assert store.pause_file("group").exists()
     clock.seconds = PATIENCE - 1
     assert not stop.over
