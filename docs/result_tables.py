@@ -1,4 +1,4 @@
-"""Make the result tables of README.md and docs/results.md: ``python -m docs.result_tables``.
+"""Make the result tables of README.md and docs/: ``python -m docs.result_tables``.
 
 The numbers come from docs/results/ and from the thesis's tables in the package. A table stands
 between two comments, ``<!-- table NAME -->`` and ``<!-- end of NAME -->``; what was there is
@@ -12,10 +12,14 @@ from typing import Final
 
 import pandas as pd
 
+from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
 from components.reporting.tables import thesis_numbers
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PAGES: Final = (ROOT / "README.md", ROOT / "docs" / "results.md")
+PAGES: Final = (
+    ROOT / "README.md",
+    *(ROOT / "docs" / f"{n}.md" for n in ("results", "world", "judging")),
+)
 
 _DATA: Final = ROOT / "docs" / "results"
 _NAMES: Final = {
@@ -33,6 +37,9 @@ _OTHERWISE: Final = "ddpg"
 
 _APART: Final = 2.0
 """Combined standard errors from which on two results are said to differ."""
+
+_HAPPENS: Final = 0.6
+"""The λ from which on policies of the 2-D world leave the log."""
 
 Numbers = Mapping[tuple[str, str], tuple[float, float]]
 """(dataset, column) -> (10th percentile, standard error)."""
@@ -125,7 +132,78 @@ def beside() -> str:
     return _markdown(["dataset", *heads], rows)
 
 
-TABLES: Final[Mapping[str, Callable[[], str]]] = {"front": front, "full": full, "beside": beside}
+def world() -> str:
+    """The 2-D world over λ; where little happens, one row in four."""
+    table = pd.read_csv(_DATA / "world-2026-11.csv")
+    shown = table[(table["λ"] >= _HAPPENS) | ((table["λ"] * 5) % 1 < 1e-9)]
+    rows = ([f"{value:.2f}" for value in row] for row in shown.to_numpy())
+    return _markdown(list(table.columns), rows)
+
+
+_JUDGES: Final = {
+    "spearman": 2,
+    "regret_1": 1,
+    "regret_5": 1,
+    "relative_regret": 2,
+    "caught": 2,
+    "exploits_caught": 2,
+    "cleared": 2,
+}
+"""How well judges rank: columns and decimals."""
+
+_COMPARED: Final = ("model", "fitted_q", "least_of_both", DEFAULT_SCORE, "closeness")
+"""Judges that are shown dataset by dataset."""
+
+
+def judges() -> str:
+    """One row per score: means over the datasets."""
+    table = pd.read_csv(_DATA / "judges-2026-11.csv")
+    means = table.groupby("score", sort=False)[list(_JUDGES)].mean()
+    rows = []
+    for score, row in means.iterrows():
+        bold = "**" if score == DEFAULT_SCORE else ""
+        cells = [f"{row[name]:.{digits}f}" for name, digits in _JUDGES.items()]
+        rows.append([f"{bold}`{score}`{bold}", *cells])
+    return _markdown(["score", *(name.replace("_", " ") for name in _JUDGES)], rows)
+
+
+def judged() -> str:
+    """One row per dataset: Spearman's correlation and the regret at 1 of some scores."""
+    table = pd.read_csv(_DATA / "judges-2026-11.csv").set_index(["dataset", "score"])
+    rows = []
+    for dataset in table.index.unique("dataset"):
+        own = table.loc[dataset]
+        cells = [f"{own.loc[s, 'regret_1']:.1f} ({own.loc[s, 'spearman']:.2f})" for s in _COMPARED]
+        rows.append([dataset, *(cell.replace(" (nan)", "") for cell in cells)])
+    return _markdown(["dataset", *(f"`{score}`" for score in _COMPARED)], rows)
+
+
+def blind() -> str:
+    """One row per controller: the score chosen on the logs of the others, and how it does here."""
+    table = pd.read_csv(_DATA / "judges-2026-11.csv")
+    shown = {"relative_regret": 2, "regret_1": 1, "spearman": 2, "exploits_caught": 2}
+    means = table.groupby(["group", "score"])[list(shown)].mean()
+    rows = []
+    for group, chosen in chosen_blind(table, list(table["group"].unique())).items():
+        for score in dict.fromkeys((chosen, DEFAULT_SCORE)):
+            row = means.loc[group, score]
+            cells = [f"{row[name]:.{digits}f}" for name, digits in shown.items()]
+            who = "chosen blind" if score == chosen else "the default"
+            if chosen == DEFAULT_SCORE:
+                who += ", which is the default"
+            rows.append([f"{group}: `{score}`, {who}", *(c.replace("nan", "") for c in cells)])
+    return _markdown(["logs", *(name.replace("_", " ") for name in shown)], rows)
+
+
+TABLES: Final[Mapping[str, Callable[[], str]]] = {
+    "front": front,
+    "full": full,
+    "beside": beside,
+    "world": world,
+    "judges": judges,
+    "judged": judged,
+    "blind": blind,
+}
 
 
 def filled(text: str) -> str:

@@ -30,6 +30,8 @@ from flows.pipeline.schedule import form_groups
 from flows.pipeline.signals import ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
+from flows.pipeline.tracking.board import Board
+from flows.pipeline.tracking.board_tracker import BoardTracker
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
@@ -46,6 +48,7 @@ __all__ = [
     "make_tracker",
     "run_door",
     "run_sweep",
+    "show_or_do",
     "window_width",
 ]
 
@@ -91,16 +94,23 @@ def main(
         aliases: Short keys of its command line and the full keys they stand for.
     """
 
-    def shown_or_done(settings: Settings) -> int:
-        for note in settings.notes:
-            print(f"Note: {note}", file=sys.stderr)
-        if not settings.show_settings:
-            check_store(settings.store)
-            return body(settings)
+    run_door(
+        door,
+        help_text,
+        lambda words: load_settings(words, aliases),
+        lambda settings: show_or_do(settings, body),
+    )
+
+
+def show_or_do(settings: Settings, body: Callable[[Settings], int]) -> int:
+    """Print the settings if that is wanted, else do the work of a door; returns its exit code."""
+    for note in settings.notes:
+        print(f"Note: {note}", file=sys.stderr)
+    if settings.show_settings:
         print(settings_yaml(settings), end="")
         return 0
-
-    run_door(door, help_text, lambda words: load_settings(words, aliases), shown_or_done)
+    check_store(settings.store)
+    return body(settings)
 
 
 def make_executor(settings: Settings) -> Executor:
@@ -152,6 +162,7 @@ def run_sweep(
     report: ReportWriter,
     params: Mapping[str, str] | None = None,
     about: str = "",
+    board: Board | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
 
@@ -163,6 +174,7 @@ def run_sweep(
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
         about: What the plan is, in a sentence; shown before it.
+        board: Says the rows of the leaderboard; None for a sweep without results.
 
     Returns:
         The exit code.
@@ -176,8 +188,8 @@ def run_sweep(
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
-    if about:
-        display.note(about)
+    for sentence in filter(None, (about, limit.sentence)):
+        display.note(sentence)
     repairs = settings.runner.repair == "recompute"
     found = audit(plan, store)
     if not repairs:
@@ -193,14 +205,14 @@ def run_sweep(
         raise SettingsError(
             f"This is estimated to take {duration(seconds)}; choose less, or add yes=true."
         )
-    if str(limit):
-        display.note(f"It stops {limit}, resumably.")
     if settings.dry_run:
         for line in found.lines():
             display.note(line)
         return 0
     command = shlex.join(["python", *command_words()])
     tracker = make_tracker(settings)
+    if board is not None:
+        tracker = BoardTracker(tracker, board)
     tags = {
         "profile": settings.profile_name,
         "command": command,

@@ -10,6 +10,7 @@ from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.planning.cells import cells_line
+from flows.report.leaderboard import Leaderboard
 from flows.report.report import write_report
 
 HELP = f"""\
@@ -20,7 +21,8 @@ report. Everything finished is kept under mlruns/ and reused. To continue a swee
 give the same command again.
 
   profile=smoke|quick|paper       budgets and selection; paper is the default
-  datasets=[a,b]                  names in conf/dataset, or all: every file there
+  datasets=[a,b]                  names in conf/dataset, or all: every file there that
+                                  does not say by_name_only
   algorithms=[a,b]                names in components/algorithms, or all
   seeds=[0,1]                     whole numbers
   algorithm.NAME.KEY=VALUE        a setting of an algorithm, e.g. algorithm.lion.updates=200
@@ -53,6 +55,7 @@ def _run(settings: Settings) -> int:
             print(line, file=sys.stderr)
     name = sweep_name(settings, plan)
     folder = Path(settings.store) / "reports" / name
+    board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         seeds = len(settings.seeds)
@@ -65,7 +68,8 @@ def _run(settings: Settings) -> int:
             print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
         return written.files, written.headline
 
-    return run_sweep(settings, name, plan, report, about=cells_line(settings, plan))
+    about = cells_line(settings, plan)
+    return run_sweep(settings, name, plan, report, about=about, board=board)
 
 
 if __name__ == "__main__":

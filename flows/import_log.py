@@ -25,6 +25,7 @@ from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.configuration.plants import settings_of_log
 
 __all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
 
@@ -46,6 +47,8 @@ of Minari's on this computer. Afterwards datasets=[NAME] works like any other.
 
 A log that cannot be used is refused in one sentence with file, row and column, and nothing is
 stored. A dataset that this project exported to Minari needs no schema and comes back as it was.
+With the environment variable PROXIMITY_BENCH_HOME=FOLDER all goes there instead of into the
+project, and every command that is given the same variable finds it there.
 """
 
 _REPORT = "report.md"
@@ -73,12 +76,12 @@ class ImportSettings(StrictModel):
     @property
     def folder(self) -> Path:
         """Where the dataset is put: beside conf/, as it is no product of a store."""
-        return files.CONF.parent / (self.to or Path("logs", self.name))
+        return files.home() / (self.to or Path("logs", self.name))
 
     @property
     def named_in(self) -> Path:
         """The file of conf/dataset."""
-        return files.CONF / "dataset" / f"{self.name}.yaml"
+        return files.home() / "conf" / "dataset" / f"{self.name}.yaml"
 
 
 def load_import_settings(words: Sequence[str]) -> ImportSettings:
@@ -181,8 +184,14 @@ def _check_place(settings: ImportSettings) -> None:
     folder, named = settings.folder, settings.named_in
     if settings.name == "all":
         raise SettingsError("name=all stands for every dataset; choose another name.")
-    if not named.parent.is_dir():
-        raise SettingsError(f"{named.parent} is missing; import in a whole copy of the project.")
+    project = files.CONF / "dataset"
+    if not project.is_dir():
+        raise SettingsError(f"{project} is missing; import in a whole copy of the project.")
+    taken = project / named.name
+    if taken != named and taken.exists():
+        raise SettingsError(
+            f"name={settings.name} is that of a dataset of this project; choose another name."
+        )
     if named.exists() and not _names_folder(named, settings):
         raise SettingsError(
             f"name={settings.name}: {_shown(named)} is there already and is not about "
@@ -202,11 +211,11 @@ def _names_folder(named: Path, settings: ImportSettings) -> bool:
     content: Any = OmegaConf.to_container(files.read_file(named), resolve=False)
     fields = content.get(settings.name)
     log = fields.get("log") if isinstance(fields, Mapping) else None
-    return isinstance(log, str) and files.CONF.parent / log == settings.folder
+    return isinstance(log, str) and files.home() / log == settings.folder
 
 
 def _shown(path: Path) -> Path:
-    root = files.CONF.parent
+    root = files.home()
     return path.relative_to(root) if path.is_relative_to(root) else path
 
 
@@ -257,7 +266,9 @@ def _store(
         _put(made, folder)
     if not settings.named_in.exists():
         about = f"# imported by flows.import_log; {_REPORT} in its folder says what it holds\n"
-        content = {settings.name: {"log": str(_shown(folder))}}
+        own = {"log": str(_shown(folder)), **settings_of_log(dataset.card)}
+        content = {settings.name: own}
+        settings.named_in.parent.mkdir(parents=True, exist_ok=True)
         write_text(settings.named_in, about + yaml.safe_dump(content, allow_unicode=True))
     _say(imported, settings)
 
@@ -285,7 +296,8 @@ def _say(imported: Imported, settings: ImportSettings) -> None:
     print(
         f"{settings.name}: {dataset.transitions:,} transitions in {dataset.episodes:,} episodes, "
         f"mean return {dataset.card.first_window_return_mean:.5g}; {_shown(settings.folder)} has "
-        f"them and {_REPORT}. Next: python -m flows.full_benchmark datasets=[{settings.name}]"
+        f"them and {_REPORT}. Next, for minutes: python -m flows.full_benchmark profile=quick "
+        f"datasets=[{settings.name}]"
     )
 
 

@@ -148,11 +148,12 @@ def _written(
         }
         parts.append("Spearman's rank correlations:\n\n" + markdown(correlations, digits))
     digits = {"clip": 3} | {name: 2 for name in clips.columns[1:]}
-    shown = ["clip", "spearman_chosen", "spearman_thesis"]
-    parts.append(
-        f"EAS depends on the clip ({clip:g} is used); the order of the datasets at others:\n\n"
-        + markdown(clips[shown].dropna(axis=1, how="all"), digits)
-    )
+    orders = clips[["clip", "spearman_chosen", "spearman_thesis"]].dropna(axis=1, how="all")
+    if len(orders.columns) > 1:  # a single dataset has no order
+        parts.append(
+            f"EAS depends on the clip ({clip:g} is used); the order of the datasets at others:\n\n"
+            + markdown(orders, digits)
+        )
     parts.append("".join(f"- {line}\n" for line in _sentences(table)))
     parts.append(
         "The guess of λ is a heuristic from EAS alone (thesis 7.2): begin at its lower end, go up "

@@ -1,16 +1,13 @@
 """Watch a stored policy: ``python -m flows.render run=td3_bc/hopper/seed0 out=hopper.mp4``."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 import torch
 from pydantic import Field
 
-from components.core.files import replacing
 from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE, film, pictures_per_second
 from components.policies.policy import Policy
@@ -19,6 +16,7 @@ from flows.configuration.checking import SettingsError, StrictModel, build_confi
 from flows.configuration.overrides import split_word
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy
+from flows.video import video
 
 __all__ = ["RenderSettings", "load_render_settings"]
 
@@ -96,17 +94,6 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
     return act
 
 
-@contextmanager
-def _video(path: Path, per_second: float) -> Iterator[Callable[[np.ndarray], object]]:
-    """A file that takes pictures; it appears under its name when it is whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    options: dict[str, Any] = {"fps": per_second}
-    if path.suffix.lower() == ".gif":
-        options = {"duration": 1000 / per_second, "loop": 0}  # milliseconds; for ever
-    with replacing(path) as temporary, imageio.get_writer(temporary, **options) as writer:
-        yield writer.append_data
-
-
 def _run(settings: RenderSettings) -> int:
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
@@ -119,7 +106,7 @@ def _run(settings: RenderSettings) -> int:
     policy = Policy.load(store.path(record["key"]) / "policy")
     act = _actor(policy, settings)
     per_second = pictures_per_second(card.environment, card.environment_parameters)
-    with _video(settings.out, per_second) as draw:
+    with video(settings.out, per_second) as draw:
         take = film(
             card.environment,
             card.environment_parameters,

@@ -29,6 +29,7 @@ from flows.tuning.journal import journal_path, open_journal
 from flows.tuning.mlflow_trials import MlflowTrials
 from flows.tuning.results import best_losses, comparison, tuned_model
 from flows.tuning.search import search
+from flows.tuning.shown import OBJECTIVE, study_note, study_view
 from flows.tuning.study import Study, StudySpecification, ended_trials
 from flows.tuning.trials import NullTrials, Trials
 from flows.tuning.tuned_file import write_tuned
@@ -140,6 +141,13 @@ def _search(
         # The record may be damaged, or lack the trials of an older version.
         begun |= {node.key: node.name for study in studies for _, node in study.begun()}
         SweepRecord(name, command, begun).save(store.root)
+        place = tracker.show([study_view(study) for study in studies])
+        for study in studies:
+            study.describe(OBJECTIVE, study_note(study, settings.tuning.trials, place, command))
+            if 0 < study.ended < settings.tuning.trials:
+                about = f"{study.specification.dataset} {study.specification.model}"
+                done = f"{study.ended} of {settings.tuning.trials} trials done"
+                console.note(f"{about}: continuing: {done}")
 
         def finished(study: Study) -> None:
             tuned = tuned_model(study, store)

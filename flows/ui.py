@@ -7,11 +7,18 @@ on an empty database of its own.
 import argparse
 import signal
 import sys
+from typing import Any
 
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
-from flows.pipeline.tracking.mlflow_ui import UiServer, runs_address
+from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
+from flows.pipeline.tracking.mlflow_ui import (
+    DEFAULT_PORT,
+    UiServer,
+    runs_address,
+    view_addresses,
+)
 from flows.pipeline.tracking.redaction import without_secrets
 
 
@@ -19,7 +26,7 @@ def main() -> None:
     """Serve until the server ends, Ctrl-C or a signal; exit 2 for bad input, 1 for failure."""
     parser = argparse.ArgumentParser(prog="flows.ui", description="Open the MLflow UI.")
     parser.add_argument("--store", default="mlruns", help="folder of the runs")
-    parser.add_argument("--port", default=5000, type=_port, help="1 to 65535")
+    parser.add_argument("--port", default=DEFAULT_PORT, type=_port, help="1 to 65535")
     arguments = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _: sys.exit(128 + received))
@@ -43,12 +50,35 @@ def main() -> None:
 
 
 def _serve(address: StoreAddress, port: int) -> None:
-    # Opening our own store follows a move, and closes what killed sweeps left open.
-    experiment = MlflowExperiment(address.root, "flows.ui").entity() if address.own else None
+    experiment, leaderboard = _experiments(address)
     with UiServer(address, port, experiment) as server:
-        print(f"Runs: {runs_address(port, experiment)}\nCtrl-C ends the server.", flush=True)
+        for line in _links(port, experiment, leaderboard):
+            print(line)
+        print("Ctrl-C ends the server.", flush=True)
         code = server.wait()
     raise TrackingError(f"The MLflow server ended by itself with exit code {code}.")
+
+
+def _experiments(address: StoreAddress) -> tuple[Any, Any]:
+    """Those of the runs and of the leaderboard; None for one that is not there or not ours."""
+    if not address.own:
+        return None, None
+    # Opening our own store follows a move, and closes what killed sweeps left open.
+    runs = MlflowExperiment(address.root, "flows.ui")
+    with runs.as_tracking_errors():
+        there = runs.client.get_experiment_by_name(LEADERBOARD) is not None
+    board = MlflowExperiment(address.root, "flows.ui", LEADERBOARD).entity() if there else None
+    return runs.entity(), board
+
+
+def _links(port: int, experiment: Any, leaderboard: Any) -> list[str]:
+    lines = [f"Runs: {runs_address(port, experiment)}"]
+    if leaderboard is not None:
+        lines.append(f"Leaderboard: {runs_address(port, leaderboard)}")
+    views: dict[str, str] = {}
+    for shown in (leaderboard, experiment):
+        views |= {} if shown is None else view_addresses(port, shown)
+    return [*lines, *(f"  {name}: {link}" for name, link in views.items())]
 
 
 def _port(text: str) -> int:

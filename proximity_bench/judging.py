@@ -19,6 +19,7 @@ from components.judging.judgement import judge as judge_policies
 from components.training.memory import keep_freed_memory
 from flows.configuration.composition import base_layers
 from flows.configuration.given import settings_of
+from flows.configuration.plants import settings_of_log
 from flows.configuration.schema import Settings
 from flows.planning.judging import JUDGE_MODELS, JUDGE_SEED
 from flows.planning.sizes import check_size, suits
@@ -136,7 +137,9 @@ def _settings(
     own = {"model": {model: dict(fields) for model, fields in models.items()}}
     given = {
         "datasets": [name],
-        "dataset": {name: own if name in known else {"log": "", **own}},
+        "dataset": {
+            name: own if name in known else {"log": "", **settings_of_log(log.card), **own}
+        },
         "judging": {"estimates": dict(settings)},
     }
     chosen = settings_of(PROFILE, given, {})

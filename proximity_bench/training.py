@@ -22,6 +22,7 @@ from components.training.memory import keep_freed_memory
 from flows.configuration.checking import hint
 from flows.configuration.composition import base_layers
 from flows.configuration.given import settings_of
+from flows.configuration.plants import settings_of_log
 from flows.configuration.schema import Settings
 from flows.planning.sizes import check_algorithm, check_model, check_size
 from proximity_bench.datasets import PROFILE
@@ -150,26 +151,30 @@ def _settings(
         valid = ", ".join(ALGORITHMS)
         said = f"Unknown algorithm {algorithm!r}; valid ones are {valid}."
         raise ValueError(said + hint(algorithm, ALGORITHMS))
-    needs = ALGORITHMS[algorithm].needs
+    record = ALGORITHMS[algorithm]
+    needs = tuple(dict.fromkeys((*record.needs, *record.transitions)))
     for model in models:
         if model not in needs:
             valid = f"its models are {', '.join(needs)}" if needs else "it needs no models"
             said = f"models={model!r}: {algorithm} is not trained with it; {valid}."
             raise ValueError(said + hint(model, needs))
-    own = {"model_for": {algorithm: {model: dict(fields) for model, fields in models.items()}}}
+    source = HeldLog.of(log)
+    own: dict[str, Any] = {} if name in known else {"log": "", **settings_of_log(log.card)}
+    for setting in settings:  # what is given wins over what follows from the card
+        own.get("algorithm", {}).get(algorithm, {}).pop(setting, None)
+    own["model_for"] = {algorithm: {model: dict(fields) for model, fields in models.items()}}
     given = {
         "datasets": [name],
-        "dataset": {name: own if name in known else {"log": "", **own}},
+        "dataset": {name: own},
         "algorithms": [algorithm],
         "seeds": list(seeds) if isinstance(seeds, Sequence) else [seeds],
         "training": {"snapshots": snapshots},
         "algorithm": {algorithm: dict(settings)},
     }
     chosen = settings_of(PROFILE, given, {})
-    source = HeldLog.of(log)
     chosen = chosen.model_copy(update={"dataset": {name: source}})
     check_size(name, source)
-    for config in _models(chosen, name, ALGORITHMS[algorithm]).values():
+    for config in _models(chosen, name, record).values():
         check_model(chosen, name, config)
     check_algorithm(chosen, name, algorithm)
     return chosen
@@ -178,7 +183,8 @@ def _settings(
 def _models(settings: Settings, dataset: str, record: Algorithm[Any]) -> dict[str, Any]:
     """Configuration objects of the models that an algorithm needs."""
     own = settings.models_for(dataset, record.name)
-    return {name: own.get(name, settings.model_on(dataset, name)) for name in record.needs}
+    needs = record.models_for(settings.algorithm_on(dataset, record.name))
+    return {name: own.get(name, settings.model_on(dataset, name)) for name in needs}
 
 
 def chosen_device(name: str) -> torch.device:

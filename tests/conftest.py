@@ -27,6 +27,7 @@ TOGETHER = {
     "tests/flows/planning/test_cells.py": "ray",
     "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
+    "tests/flows/test_mlflow_pages.py": "ray",  # they share the smoke run
     "tests/test_notebooks.py": "ray",
     "tests/components/reporting/test_page.py": "a browser",
     "tests/flows/report/test_report_door.py": "ray",
@@ -34,6 +35,7 @@ TOGETHER = {
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_leftovers.py": "an empty database",
+    "tests/flows/pipeline/tracking/test_mlflow_board.py": "an empty database",
     "tests/flows/tuning/test_tuned_models.py": "tuned models",
 }
 

@@ -12,9 +12,9 @@ trajectories of a learned transition ensemble. Per update and lane:
 
 Known deviations from the text, following the authors' code where it differs: start states come from
 the first ``start_window`` steps of each trajectory; rewards are scaled by the mean discounted
-window return of the dataset; the penalty is divided by the horizon; the proximity enters the
-network standardised. The logged actions are drawn from the whole dataset (the authors' code
-reaches only its first part).
+window return of the dataset, or by ``return_scale``; the penalty is divided by the horizon; the
+proximity enters the network standardised. The logged actions are drawn from the whole dataset (the
+authors' code reaches only its first part).
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,9 @@ from torch import Tensor
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
-from components.algorithms.parts.virtual_returns import VirtualReturns
+from components.algorithms.parts.virtual_returns import TRANSITIONS, VirtualReturns
 from components.core.draws import Beta, Draw
+from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.transition.model_environment import discounted_sum
 from components.networks import StackedMLP, lanewise_mean
@@ -52,6 +53,8 @@ class Config:
     eta: float = 0.1  # weight of the distance to logged actions at proximity 0
     start_window: int = 30  # start states are steps start_after ... start_window - 1 of each
     start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
+    return_scale: float | None = option(None)  # by which returns are divided; None: by the log's
+    transition: str = option(TRANSITIONS[0])  # or deterministic_ensemble, which has no memory
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -63,6 +66,10 @@ class Config:
         check_virtual_starts(self.discount, self.start_window, self.start_after)
         if self.learning_rate <= 0 or self.beta <= 0 or self.eta < 0:
             raise ValueError("learning_rate and beta must be positive and eta not negative.")
+        if self.transition not in TRANSITIONS:
+            raise ValueError(f"transition must be one of {', '.join(TRANSITIONS)}.")
+        if self.return_scale is not None and self.return_scale <= 0:
+            raise ValueError("return_scale must be positive, or null for the log's mean return.")
 
 
 class Learner(StackedLearner):
@@ -76,7 +83,9 @@ class Learner(StackedLearner):
         self.lanes = data.lanes
         behaviours = inputs.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
-        self._returns = VirtualReturns(inputs, config.horizon, config.discount)
+        self._returns = VirtualReturns(
+            inputs, config.horizon, config.discount, config.transition, config.return_scale
+        )
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)
         self._optimizer = adam(list(self._network.parameters()), config.learning_rate)
@@ -162,5 +171,6 @@ ALGORITHM: Final = Algorithm(
     version=4,
     cost=per_virtual_step(1.4e-5),
     needs=("behaviour_policy", "recurrent_ensemble"),
+    transitions=TRANSITIONS,
     takes_proximity=True,
 )

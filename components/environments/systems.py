@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from components.environments.industrial.benchmark import DYNAMICS, IndustrialBenchmark
 from components.environments.mujoco.specifications import ROBOTS, Robot, simulation_of
+from components.environments.world import plane
 
 __all__ = [
     "INDUSTRIAL_BENCHMARK",
     "SYSTEMS",
+    "WORLD",
     "BatchEnvironment",
     "System",
     "check_simulator",
@@ -102,6 +104,21 @@ INDUSTRIAL_BENCHMARK: Final = System(
 )
 
 
+def _agents(copies: int, *, threads: int) -> BatchEnvironment:
+    return plane.Plane(copies, threads=threads)
+
+
+WORLD: Final = System(
+    name="world",
+    id="proximity/World-v0",
+    batch=_agents,
+    parameters=(),
+    dynamics=plane.DYNAMICS,
+    entry_point="components.environments.world.gymnasium_api:WorldEnv",
+    vector_entry_point="components.environments.world.gymnasium_api:WorldVectorEnv",
+)
+
+
 def _robot_system(robot: Robot) -> System:
     def batch(copies: int, *, threads: int, **parameters: Any) -> BatchEnvironment:
         from components.environments.mujoco.robots import Robots  # MuJoCo is slow to import
@@ -121,7 +138,10 @@ def _robot_system(robot: Robot) -> System:
 
 
 SYSTEMS: Final[Mapping[str, System]] = MappingProxyType(
-    {system.id: system for system in (INDUSTRIAL_BENCHMARK, *map(_robot_system, ROBOTS.values()))}
+    {
+        system.id: system
+        for system in (INDUSTRIAL_BENCHMARK, WORLD, *map(_robot_system, ROBOTS.values()))
+    }
 )
 """All systems by Gymnasium id."""
 
@@ -159,7 +179,8 @@ def make_batch(
         environment: the id.
         copies: N.
         threads: number of threads that step the copies; the numbers do not depend on it.
-        parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` of a robot.
+        parameters: of the system: `setpoint` of the Industrial Benchmark, `physics` of a robot;
+            the 2-D world has none.
 
     Raises:
         ValueError: an unknown id or parameter.
@@ -170,6 +191,7 @@ def make_batch(
     for name in parameters:
         if name not in system.parameters:
             raise ValueError(
-                f"{environment} has no parameter {name!r}; it has {', '.join(system.parameters)}."
+                f"{environment} has no parameter {name!r}; it has "
+                f"{', '.join(system.parameters) or 'none'}."
             )
     return system.batch(copies, threads=threads, **parameters)

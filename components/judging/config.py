@@ -12,7 +12,7 @@ class JudgeConfig:
     proximity_step: float = 0.1  # of the grid of proximities, from 0 to 1
     # virtual trajectories in an ensemble
     starts: int = 40  # logged states in which trajectories start
-    start_window: int = 30  # they are among the first steps of each episode, so many
+    start_window: int = 1  # they are among the first steps of each episode, so many
     # the log's support
     neighbours: int = 10_000  # logged transitions to which others are compared
     visited: int = 500  # states of the virtual trajectories that are compared
@@ -22,7 +22,8 @@ class JudgeConfig:
     hidden: tuple[int, ...] = (64, 64)
     batch: int = 256
     learning_rate: float = 1e-3  # Adam
-    target_rate: float = 0.01  # tau, with which target networks follow
+    # tau, with which target networks follow: values reach about tau * updates steps ahead
+    target_rate: float = 0.05
     replicas: int = 2  # networks a policy, of other weights and batches
     transitions: int = 50_000  # of the log at most, evenly spaced
 

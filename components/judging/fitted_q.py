@@ -9,7 +9,9 @@ All policies learn in one stack of lanes, several replicas of each. What a polic
 states does not change while its critic learns: it is computed once.
 
 Rewards are standardised. Without terminal states their mean is taken off, too, which leaves the
-critics only the differences between states to learn; it is added again in the end.
+critics only the differences between states to learn; it is added again in the end. No value is
+above that of the log's best reward for ever, or below that of its worst: targets are clipped to
+this range, without which critics of actions far from the log grow without bound.
 """
 
 import math
@@ -78,6 +80,11 @@ class FittedQ:
         self._ends = not bool(logged.continues.all())
         self._mean = 0.0 if self._ends else float(rewards.mean())
         self._scale = float(rewards.std(correction=0)) or 1.0
+        least, most = ((float(end) - self._mean) / self._scale for end in rewards.aminmax())
+        if self._ends:  # nothing is earned after the end
+            least, most = min(least, 0.0), max(most, 0.0)
+        forever = math.inf if self._discount == 1.0 else 1.0 / (1.0 - self._discount)
+        self._range = (least * forever, most * forever) if least < most else (0.0, 0.0)
 
     def branch(self, step: int) -> str:
         """All updates belong to one branch."""
@@ -98,6 +105,7 @@ class FittedQ:
         following = self._next_actions[:, drawn].transpose(0, 1)  # [R, Q, B, A]
         with torch.no_grad():
             future = self._value(self.target, batch.next_observations, following)
+            future = future.clamp(*self._range)
             rewards = (batch.rewards - self._mean) / self._scale
             continues = batch.continues[:, None].expand_as(future)
             targets = torch.addcmul(

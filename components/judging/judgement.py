@@ -4,8 +4,8 @@
   the policies, with its standard error; ``model_least``: by the member that gives the least.
 - ``fitted_q``: value by fitted critics, with the standard error over replicas and start states.
 - ``distance``: mean Euclidean distance to the behaviour policy's action in logged states.
-- ``outside``: share of the steps in the ensemble that lie outside the log's support; without an
-  ensemble, of its actions in logged states.
+- ``outside``: share of the steps in the ensemble that lie outside the log's support
+  (:mod:`.support`); without an ensemble, of its actions in logged states.
 - ``promised``: gain over the behaviour policy in the ensemble that the policy was trained in, where
   there is one: what training believes. It is no judge, since the policy was chosen by it.
 """
@@ -89,7 +89,6 @@ def judge(
     """
     judged = [JudgedPolicies(j.policy.to(device), j.proximities) for j in judged]
     world = VirtualWorld(dataset, config, device)
-    support = Support(dataset, config.neighbours, config.quantile)
     values = [world.values(ensemble, one) if ensemble else None for one in judged]
     usual = JudgedPolicies.of(behaviour.to(device), ())
     promised = [
@@ -98,6 +97,12 @@ def judge(
         else world.values(own, one).mean - world.values(own, usual).mean
         for own, one in zip(trained_in, judged, strict=True)
     ]
+    familiar = (
+        world.values(ensemble, usual).visited
+        if ensemble
+        else _Logged.of(world, dataset, usual).pairs
+    )
+    support = Support(dataset, familiar[0].numpy(), config.neighbours, config.quantile)
     logged = [_Logged.of(world, dataset, one) for one in judged]
     visited = [
         own.pairs if found is None else found.visited

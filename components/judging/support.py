@@ -1,8 +1,9 @@
 """The support of a log: whether a frame with an action resembles one that was logged.
 
 The distance of a pair to the log is that to its nearest logged neighbour, in units of the log's own
-deviations. What is farther away than nearly all held-out transitions of the log are from the others
-is outside.
+deviations. What is farther away than nearly all of what is familiar is outside. Familiar are the
+log's own held-out transitions, and what the behaviour policy visits: the log of a controller that
+never explores fills so thin a set that even its clone hardly meets it.
 """
 
 import numpy as np
@@ -21,11 +22,18 @@ class Support:
 
     Args:
         dataset: The log, of at least two episodes.
+        familiar: Frames with actions of the behaviour policy, ``[n, F + A]``.
         neighbours: Logged transitions that others are compared to, at most.
-        quantile: Share of held-out transitions that lie within.
+        quantile: Share of the familiar that lies within.
     """
 
-    def __init__(self, dataset: OfflineDataset, neighbours: int, quantile: float) -> None:
+    def __init__(
+        self,
+        dataset: OfflineDataset,
+        familiar: NDArray[np.floating],
+        neighbours: int,
+        quantile: float,
+    ) -> None:
         boundary = split_episodes(dataset).trained_transitions(dataset)
         rows = np.arange(dataset.transitions)
         near = _pairs(dataset, spread_rows(rows[:boundary], neighbours))
@@ -34,7 +42,9 @@ class Support:
         # A feature that never changes says nothing, but another value of it is foreign.
         self._scale = np.where(deviation > 0, deviation, 1.0)
         self._tree = KDTree(near / self._scale)
-        self._limit = float(np.quantile(self._distances(held_out), quantile))
+        self._limit = max(
+            float(np.quantile(self._distances(own), quantile)) for own in (held_out, familiar)
+        )
 
     def outside(self, pairs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Share of frames with actions ``[..., V, F + A]`` that lie outside, ``[...]``."""

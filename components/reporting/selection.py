@@ -60,7 +60,7 @@ def selection_table(policies: pd.DataFrame, score: str) -> pd.DataFrame:
     return ordered.drop(columns="order")
 
 
-_KEYS: Final = ("dataset", "algorithm", "proximity", "seed", "step")
+_KEYS: Final = ("dataset", "algorithm", "proximity", "seed", "step", "policy")
 
 
 def selection_markdown(table: pd.DataFrame) -> str:
@@ -70,16 +70,23 @@ def selection_markdown(table: pd.DataFrame) -> str:
     return markdown(first[list(_SHOWN)].rename(columns=_SHOWN), digits)
 
 
-def judge_table(policies: pd.DataFrame, behaviour_returns: Mapping[str, float]) -> pd.DataFrame:
+def judge_table(
+    policies: pd.DataFrame,
+    behaviour_returns: Mapping[str, float],
+    controllers: Mapping[str, str],
+) -> pd.DataFrame:
     """How well every score ranks, dataset by dataset: rows of :func:`.quality`.
 
     Args:
         policies: As :func:`selection_table` takes them; datasets without true returns are left out.
         behaviour_returns: Mean return of the controller that logged each dataset.
+        controllers: Its name, by which the datasets are grouped, in the column ``group``.
     """
     known = policies.dropna(subset=["true_return"])
     rows = [
-        quality(own, behaviour_returns[str(name)]).assign(dataset=name, policies=len(own))
+        quality(own, behaviour_returns[str(name)]).assign(
+            dataset=name, group=controllers[str(name)], policies=len(own)
+        )
         for name, own in known.groupby("dataset", sort=False)
     ]
     return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame()

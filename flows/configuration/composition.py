@@ -18,12 +18,21 @@ from flows.configuration.files import (
     ConfFolder,
     foreign_in,
     names_in,
+    read_datasets,
     read_file,
     read_folder,
 )
 from flows.configuration.renamed import rename_old_keys
 
-__all__ = ["DEVIATIONS", "Layers", "base_layers", "merged", "special_settings", "with_limits"]
+__all__ = [
+    "DEVIATIONS",
+    "Layers",
+    "base_layers",
+    "by_name_only",
+    "merged",
+    "special_settings",
+    "with_limits",
+]
 
 
 class Deviations(StrictModel):
@@ -33,11 +42,14 @@ class Deviations(StrictModel):
         algorithm: Settings by algorithm.
         model: Settings by model.
         model_for: By algorithm, settings of the models that it uses, by model.
+        by_name_only: Whether `datasets=all` leaves its datasets out: what is no part of the
+            benchmark, such as a sanity check, must not grow its grid.
     """
 
     algorithm: dict[str, dict[str, Any]] = Field(default_factory=dict)
     model: dict[str, dict[str, Any]] = Field(default_factory=dict)
     model_for: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
+    by_name_only: bool = False
 
 
 class Limits(StrictModel):
@@ -48,7 +60,7 @@ class Limits(StrictModel):
 
 
 DEVIATIONS = tuple(Deviations.model_fields)
-"""Keys of a dataset's file that change settings of algorithms and models."""
+"""Keys of a dataset's file that say nothing of how the data is made."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,7 @@ class Layers:
         lower: Defaults of components with the datasets and domains of conf/.
         upper: What wins over them, conf/config.yaml with the profile, its `others` spelled out.
         base: Both merged.
-        datasets: The files of conf/dataset.
+        datasets: The files of conf/dataset, own ones too.
         domains: The files of conf/domain.
         foreign: Sentences about files of conf/ that are not read.
     """
@@ -85,7 +97,7 @@ def base_layers(profile: str) -> Layers:
             f"Unknown profile {profile!r}; valid ones are {', '.join(valid)}."
             + hint(profile, valid)
         )
-    datasets, domains = (read_folder(CONF / group) for group in ("dataset", "domain"))
+    datasets, domains = read_datasets(CONF / "dataset"), read_folder(CONF / "domain")
     chosen = merged(
         [read_file(CONF / "config.yaml"), read_file(CONF / "profile" / f"{profile}.yaml")]
     )
@@ -124,6 +136,22 @@ def with_limits(chosen: DictConfig, defaults: Mapping[str, Any]) -> DictConfig:
     }
     rest = OmegaConf.masked_copy(chosen, [key for key in chosen if key != "others"])
     return merged([OmegaConf.create(unnamed), rest])
+
+
+def by_name_only(whole: Mapping[str, Any]) -> set[str]:
+    """Datasets that `datasets=all` leaves out, by their own file or that of their domain.
+
+    Args:
+        whole: All layers merged, as plain groups.
+    """
+    found = set()
+    for name, fields in _files(whole).items():
+        named = fields.get("domain")
+        domain = whole["domain"].get(named) if isinstance(named, str) else None
+        of_domain = domain if isinstance(domain, Mapping) else {}
+        if fields.get("by_name_only", of_domain.get("by_name_only", False)) is True:
+            found.add(name)
+    return found
 
 
 def merged(layers: Sequence[DictConfig]) -> DictConfig:

@@ -1,12 +1,14 @@
-"""Reads the files of conf/.
+"""Reads the files of conf/, and those of a folder of one's own.
 
 A file that is broken, or that is called otherwise than the key it holds, matters to nobody but
 those who select it: it is named, and the others keep their meaning.
 """
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -14,9 +16,24 @@ from yaml import YAMLError
 
 from flows.configuration.checking import SettingsError, first_line
 
-__all__ = ["CONF", "ConfFolder", "foreign_in", "names_in", "read_file", "read_folder"]
+__all__ = [
+    "CONF",
+    "HOME",
+    "PLANT",
+    "ConfFolder",
+    "foreign_in",
+    "home",
+    "names_in",
+    "read_datasets",
+    "read_file",
+    "read_folder",
+]
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
+HOME: Final = "PROXIMITY_BENCH_HOME"
+"""Environment variable that names a folder for logs of one's own, beside the project."""
+PLANT: Final = "plant"
+"""Domain of logs of plants that are no system of this project."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +47,21 @@ class ConfFolder:
 
     content: dict[str, Any]
     broken: dict[str, SettingsError]
+
+
+def home() -> Path:
+    """Where own logs and their files of settings are: the project, or what `HOME` names.
+
+    Raises:
+        SettingsError: That is no folder.
+    """
+    named = os.environ.get(HOME)
+    if not named:
+        return CONF.parent
+    folder = Path(named).expanduser().absolute()
+    if not folder.is_dir():
+        raise SettingsError(f"{HOME}={named} is no folder; make it, or name another.")
+    return folder
 
 
 def names_in(folder: Path) -> list[str]:
@@ -98,6 +130,33 @@ def read_folder(folder: Path) -> ConfFolder:
         except SettingsError as error:
             broken[name] = error
     return ConfFolder(content, broken)
+
+
+def read_datasets(project: Path) -> ConfFolder:
+    """The files of datasets, the project's and those of `home`.
+
+    Args:
+        project: Folder of the project's.
+
+    Raises:
+        SettingsError: The project's folder is missing, or both have a file of the same name.
+    """
+    found, own = read_folder(project), home() / "conf" / "dataset"
+    if not os.environ.get(HOME) or own == project or not any(own.glob("*.yaml")):
+        return found
+    added = read_folder(own)
+    names = {*found.content, *found.broken}
+    if twice := sorted(names & {*added.content, *added.broken}):
+        raise SettingsError(f"{own / twice[0]}.yaml has a name of this project; rename it.")
+    content = {name: _below(home(), fields) for name, fields in added.content.items()}
+    return ConfFolder(found.content | content, found.broken | added.broken)
+
+
+def _below(folder: Path, fields: Any) -> Any:
+    """Settings of a dataset whose log is named from a folder on."""
+    if not isinstance(fields, Mapping) or not isinstance(fields.get("log"), str):
+        return fields
+    return {**fields, "log": str(folder / Path(fields["log"]).expanduser())}
 
 
 def _read_own(path: Path, name: str) -> Any:

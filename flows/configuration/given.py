@@ -7,7 +7,13 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from flows.configuration.checking import SettingsError, build_config, first_line
-from flows.configuration.composition import Layers, base_layers, merged, special_settings
+from flows.configuration.composition import (
+    Layers,
+    base_layers,
+    by_name_only,
+    merged,
+    special_settings,
+)
 from flows.configuration.schema import Settings
 from flows.configuration.sections import selected
 
@@ -65,7 +71,8 @@ def _values(layers: Layers, given: DictConfig) -> dict[str, Any]:
     values: Any = OmegaConf.to_container(merged([layers.base, given]), resolve=True)
     files, domains = layers.datasets, layers.domains
     valid = {*files.content, *files.broken, *map(str, given.get("dataset") or ())}
-    chosen = selected("dataset", values["datasets"], sorted(valid))
+    left_out = by_name_only(values) if values["datasets"] == "all" else set()
+    chosen = selected("dataset", values["datasets"], sorted(valid - left_out))
     for name in chosen:
         fields = values["dataset"].get(name)
         domain = fields.get("domain") if isinstance(fields, Mapping) else None

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ValidationInfo, field_validator, model_validator
 
-from components.data.sources.source import DatasetSource, source_kind
+from components.data.sources.source import SOURCE_FIELDS, DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
 from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.composition import DEVIATIONS
@@ -75,10 +75,10 @@ def _source(name: str, fields: Any, data: DataSettings) -> DatasetSource:
     if not isinstance(fields, Mapping):
         raise SettingsError(f"{path}={fields!r} must be a group of keys, e.g. {path}.KEY=VALUE.")
     own = {k: v for k, v in fields.items() if k not in ("domain", *DEVIATIONS)}
-    if not {"log", "robot", "controller"} & own.keys():
+    if not own.keys() & set(SOURCE_FIELDS):
         raise SettingsError(
             f"{path} names no source: give `log` (a folder that flows.import_log has filled), "
-            "`robot` or `controller`."
+            "`robot`, `goals` (of the 2-D world) or `controller`."
         )
     kind = source_kind(own)
     if isinstance(own.get("log"), str):  # a relative folder is one of the project, like conf/

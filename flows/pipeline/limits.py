@@ -42,6 +42,11 @@ class Limit:
         words += [] if self._until is None else [f"at {self._until:%H:%M on %Y-%m-%d}"]
         return " or ".join(words)
 
+    @property
+    def sentence(self) -> str:
+        """The same in a sentence."""
+        return f"It stops {self}, resumably." if str(self) else ""
+
     def reached(self) -> str:
         """Why to stop now, as a clause; empty as long as there is no reason."""
         if self._hours is not None and self._clock() - self._begun >= self._hours * _HOUR:

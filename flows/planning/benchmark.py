@@ -37,9 +37,13 @@ def data_plan(settings: Settings) -> Plan:
     return Plan([data_node(settings, name) for name in settings.datasets])
 
 
-def _needed_models(settings: Settings) -> set[str]:
+def _needed_models(settings: Settings, dataset: str) -> set[str]:
     """Those of the algorithms, and the one to which distances are measured."""
-    needs = {name for a in settings.algorithms for name in ALGORITHMS[a].needs}
+    needs = {
+        name
+        for a in settings.algorithms
+        for name in ALGORITHMS[a].models_for(settings.algorithm_on(dataset, a))
+    }
     return needs | {"behaviour_policy"}
 
 
@@ -50,7 +54,7 @@ def model_choice(settings: Settings) -> ModelChoice:
         SettingsError: Tuned ones are asked for and cannot be had.
     """
     data = {name: data_node(settings, name) for name in settings.datasets}
-    models = _needed_models(settings)
+    models = {name for of in settings.datasets for name in _needed_models(settings, of)}
     if any(is_judged(settings, dataset) for dataset in settings.datasets):
         models |= set(JUDGE_MODELS)
     return choose_models(settings, models, data)
@@ -71,7 +75,7 @@ def benchmark_plan(settings: Settings, choice: ModelChoice | None = None) -> Pla
     """
     choice = choice or model_choice(settings)
     for (dataset, name), config in choice.configs.items():
-        if name in _needed_models(settings):  # judges do without those that do not suit
+        if name in _needed_models(settings, dataset):  # judges do without those that do not suit
             check_model(settings, dataset, config)
     for dataset, name in product(settings.datasets, settings.algorithms):
         check_algorithm(settings, dataset, name)

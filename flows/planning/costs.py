@@ -11,13 +11,15 @@ from components.data.sizes import DataSizes, weights
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
 from components.data.sources.stored_log import StoredLog
+from components.data.sources.world import WorldSpec
 from components.environments.frame_history import HISTORY_LENGTH
 from components.environments.industrial.benchmark import FRAME_FEATURES, STEERINGS
 from components.environments.mujoco.specifications import ROBOTS
+from components.environments.world.plane import COORDINATES, STEPS
 
 __all__ = ["data_cost", "data_sizes", "evaluation_cost"]
 
-Source = IndustrialSpec | RobotSpec | StoredLog
+Source = IndustrialSpec | RobotSpec | StoredLog | WorldSpec
 
 _CALL = 0.05  # of anything, such as files
 _PER_WEIGHT = 6e-11  # of a multiplication and an addition, when a policy acts on many states
@@ -34,6 +36,8 @@ def data_sizes(source: Source) -> DataSizes:
         robot = ROBOTS[source.robot]
         widths = source.history, len(robot.frame_features), len(robot.action_features)
         return DataSizes(*widths, source.transitions)
+    if isinstance(source, WorldSpec):
+        return DataSizes(source.history, len(COORDINATES), len(STEPS), source.transitions)
     count = source.trajectories * source.steps
     return DataSizes(HISTORY_LENGTH, len(FRAME_FEATURES), len(STEERINGS), count)
 
@@ -44,6 +48,8 @@ def data_cost(source: Source) -> float:
         return _CALL + 1e-7 * source.card.transitions
     if isinstance(source, RobotSpec):
         return _CALL + 1.5e-4 * source.transitions
+    if isinstance(source, WorldSpec):
+        return _CALL + _INDUSTRIAL_STEP * source.transitions
     return _CALL + _INDUSTRIAL_STEP * source.trajectories * source.steps
 
 

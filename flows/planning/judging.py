@@ -101,7 +101,7 @@ def judgement_node(
         component="judgement",
         name=f"judge/{policy.name}",
         task="flows.tasks.judging:judge_policies",
-        version=1,
+        version=2,
         config={"estimates": jsonable(asdict(estimates)), "snapshots": snapshots},
         inputs={"policy": policy, **judges} | ({"trained_in": own} if own else {}),
         tags=policy.tags,

@@ -19,6 +19,7 @@ from components.algorithms import ALGORITHMS
 from components.environments.frame_history import HISTORY_LENGTH
 from components.environments.industrial.benchmark import FRAME_FEATURES, STEERINGS
 from components.environments.mujoco.specifications import ROBOTS
+from components.environments.world.plane import COORDINATES, STEPS
 from components.evaluation.protocol import EvaluationProtocol
 from flows.configuration.settings import SettingsError
 from flows.pipeline.plan import Node
@@ -128,6 +129,8 @@ def _shape(spec: Mapping[str, Any]) -> tuple[int, int, int]:
     if spec.get("robot") in ROBOTS:
         robot = ROBOTS[spec["robot"]]
         return 1, len(robot.frame_features), len(robot.action_features)
+    if "goals" in spec:
+        return 1, len(COORDINATES), len(STEPS)
     return (
         (HISTORY_LENGTH, len(FRAME_FEATURES), len(STEERINGS)) if "setpoint" in spec else (1, 1, 1)
     )
@@ -138,7 +141,10 @@ def _log_bytes(spec: Mapping[str, Any]) -> int:
     if "log" in spec:
         return 0
     _, frame, action = _shape(spec)
-    transitions = spec.get("transitions", spec.get("trajectories", 1) * spec["steps"])
+    if "goals" in spec:
+        transitions = spec["episodes"] * spec["length"]
+    else:
+        transitions = spec.get("transitions", spec.get("trajectories", 1) * spec["steps"])
     return int(transitions * (frame + action + 1) * _FLOAT)
 
 

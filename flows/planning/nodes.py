@@ -1,10 +1,11 @@
 """One node per component run: what decides its result, what it reads, what it costs."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from components.algorithms import ALGORITHMS
+from components.core.options import identity
 from components.data.sizes import DataSizes
 from components.data.sources.robots import RobotSpec
 from components.data.sources.stored_log import StoredLog
@@ -138,7 +139,7 @@ def model_node(
         + ("" if shared else f"/seed{seed}"),
         task="flows.tasks.model_fitting:fit_model",
         version=MODELS[name].version,
-        config={"model": name, "settings": jsonable(asdict(model)), "seed": seed},
+        config={"model": name, "settings": jsonable(identity(model)), "seed": seed},
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=MODELS[name].cost(model, sizes),
@@ -150,13 +151,15 @@ def policy_node(
 ) -> Node:
     algorithm, config = ALGORITHMS[variant.algorithm], variant.config
     # A stack has one configuration, and data and models of one shape.
-    models = {role: inputs[role].config["settings"] for role in algorithm.needs}
+    needs = algorithm.models_for(config)
+    models = {role: inputs[role].config["settings"] for role in needs}
     source = settings.dataset[dataset]
     system = source.environment
     # A stored log may tell more about its system than the registry.
     stored = isinstance(source, StoredLog)
     dynamics = source.card.dynamics if stored else SYSTEMS[system].dynamics
-    kind = digest([jsonable(asdict(config)), models, system], 4)
+    own = jsonable(identity(config))
+    kind = digest([own, models, system], 4)
     return Node(
         component="policy_training",
         name=f"{variant.label}/{dataset}/seed{seed}",
@@ -165,11 +168,11 @@ def policy_node(
         config={
             "algorithm": algorithm.name,
             "algorithm_version": algorithm.version_on(dynamics),
-            "settings": jsonable(asdict(config)),
+            "settings": own,
             "snapshots": settings.training.snapshots,
             "seed": seed,
         },
-        inputs={role: inputs[role] for role in ("dataset", *algorithm.needs)},
+        inputs={role: inputs[role] for role in ("dataset", *needs)},
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
         lanes=f"train/{algorithm.name}/{kind}{_datasets_together(settings, dataset)}",
         cost=algorithm.cost(config, data_sizes(source)),

@@ -7,6 +7,7 @@ from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
 from components.data.sources.source import DatasetSource
 from components.data.sources.stored_log import StoredLog
+from components.data.sources.world import WorldSpec
 from components.models.mlp_ensemble.config import MLPEnsembleConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from flows.configuration.checking import SettingsError
@@ -44,7 +45,7 @@ def check_model(settings: Settings, dataset: str, model: Any) -> None:
     if source.steps < model.warm_up + model.horizon:
         size = (
             f"{dataset} has {source.steps} steps an episode, which"
-            if stored
+            if stored or isinstance(source, WorldSpec)
             else (f"data.steps={settings.data.steps}")
         )
         raise SettingsError(
@@ -91,8 +92,9 @@ def check_algorithm(settings: Settings, dataset: str, name: str) -> None:
             "steps an episode; lower start_after."
         )
     # Episodes that end with a fall may be shorter: nothing is earned after it.
-    if isinstance(source, IndustrialSpec) and source.steps < getattr(config, "window", 0):
+    whole = isinstance(source, IndustrialSpec | WorldSpec)
+    if whole and source.steps < getattr(config, "window", 0):
         raise SettingsError(
             f"algorithm.{name}.window={config.window}, but {dataset} has {source.steps} steps an "
-            "episode; lower window or use longer episodes (data.steps)."
+            "episode; lower window or use longer episodes."
         )

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
 
+from components.algorithms import ALGORITHMS
+from components.core.options import with_options
 from components.data.card import DatasetCard
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.reporting.overview import Thesis
@@ -176,9 +178,9 @@ def _differences(cell: Node, paper: Node) -> Iterator[Difference]:
     yield from _unequal("evaluation", ours.config["evaluation"], theirs.config["evaluation"])
     ours, theirs = ours.inputs["policy"], theirs.inputs["policy"]
     yield from _unequal("training", ours.config, theirs.config)
-    yield from _unequal(
-        ours.config["algorithm"], ours.config["settings"], theirs.config["settings"]
-    )
+    kind = ALGORITHMS[ours.config["algorithm"]].config
+    settings = (with_options(kind, node.config["settings"]) for node in (ours, theirs))
+    yield from _unequal(ours.config["algorithm"], *settings)
     for role, model in ours.inputs.items():
         other = theirs.inputs.get(role)
         if other is not None and role != "dataset":

@@ -86,14 +86,23 @@ class Report:
 
     @property
     def headline(self) -> dict[str, list[tuple[int, float]]]:
-        """10th percentile per dataset and algorithm; the step is 100 times the proximity, or 0."""
-        return {
-            f"tenth_percentile/{summary['dataset']}/{summary['algorithm']}": [
+        """10th percentile per dataset and algorithm, at the best proximity where there are several.
+
+        All of these stand under another name, with the step 100 times the proximity: MLflow lists
+        a curve by its last point.
+        """
+        shown: dict[str, list[tuple[int, float]]] = {}
+        for summary in self.summaries:
+            cell = f"{summary['dataset']}/{summary['algorithm']}"
+            curve = [
                 (round(100 * (point["lambda"] or 0.0)), point["tenth_percentile"])
                 for point in summary["points"]
             ]
-            for summary in self.summaries
-        }
+            best = max(curve, key=lambda point: -math.inf if math.isnan(point[1]) else point[1])
+            shown[f"tenth_percentile/{cell}"] = [(0, best[1])]
+            if len(curve) > 1:
+                shown[f"over_proximity/{cell}"] = curve
+        return shown
 
     def lines(self, width: int) -> list[str]:
         """What to print: the overview, if it has rows, and notes on it.
@@ -136,8 +145,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
     logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)
-    returns = {card.name: card.first_window_return_mean for card in cards}
-    selection = write_selection(folder, plan, done, store, returns)
+    selection = write_selection(folder, plan, done, store, cards)
     report = Report(
         [*files, *selection.files],
         table,

@@ -1,6 +1,6 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -8,8 +8,15 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from components.aggregation.selection import DEFAULT_SCORE, ESTIMATES, SCORES, scored
+from components.aggregation.selection import (
+    DEFAULT_SCORE,
+    ESTIMATES,
+    SCORES,
+    chosen_blind,
+    scored,
+)
 from components.core.files import write_text
+from components.data.card import DatasetCard
 from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node, Plan
@@ -33,7 +40,7 @@ _QUALITIES: Final = {
     "spearman": 2,
     "regret_1": 1,
     "regret_5": 1,
-    "relative_regret_1": 2,
+    "relative_regret": 2,
     "caught": 2,
     "exploits_caught": 2,
     "cleared": 2,
@@ -64,7 +71,7 @@ def write_selection(
     plan: Plan,
     done: Sequence[Node],
     store: ArtifactStore,
-    behaviour_returns: Mapping[str, float],
+    cards: Sequence[DatasetCard],
 ) -> Selection:
     """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
 
@@ -73,7 +80,7 @@ def write_selection(
         plan: Of the sweep.
         done: Its finished nodes.
         store: With their artifacts.
-        behaviour_returns: Mean return of the controller that logged each dataset.
+        cards: Of the datasets.
 
     Raises:
         DamagedFileError: A judgement is missing or damaged.
@@ -91,7 +98,11 @@ def write_selection(
         "",
         *selection_markdown(table).splitlines(),
     ]
-    judges = judge_table(policies, behaviour_returns)
+    judges = judge_table(
+        policies,
+        {card.name: card.first_window_return_mean for card in cards},
+        {card.name: card.controller for card in cards},
+    )
     if not judges.empty:
         written["judges"] = judges
         means = judges.groupby("score", sort=False)[list(_QUALITIES)].mean().loc[list(SCORES)]
@@ -100,11 +111,26 @@ def write_selection(
             f"How well judges rank, mean of {judges['dataset'].nunique()} datasets:",
             "",
             *markdown(means.reset_index(), _QUALITIES).splitlines(),
+            *_blind(judges),
         ]
     files = [folder / f"{name}.csv" for name in written]
     for path, content in zip(files, written.values(), strict=True):
         write_text(path, content.to_csv(index=False, lineterminator="\n"))
     return Selection(files, lines, frozenset(policies["dataset"]))
+
+
+def _blind(judges: pd.DataFrame) -> list[str]:
+    """What would have been chosen for each controller's logs by those of the others."""
+    groups = list(judges["group"].unique())
+    if len(groups) < 2:
+        return []
+    regrets = judges.groupby(["group", "score"])["relative_regret"].mean()
+    found = [
+        f"{group}: {score} ({regrets[group, score]:.2f})"
+        for group, score in chosen_blind(judges, groups).items()
+    ]
+    said = "Of least relative regret on the logs of all other controllers (and the regret here): "
+    return ["", f"{said}{'; '.join(found)}."]
 
 
 def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
@@ -117,8 +143,9 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
 
     Returns:
         Columns ``dataset``, ``algorithm`` (of the variant), ``seed``, ``step``, ``proximity`` (NaN
-        where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``, and
-        ``true_return``, NaN where there is no evaluation.
+        where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``,
+        ``policy`` (the key by which other commands find it), and ``true_return``, NaN where there
+        is no evaluation.
     """
     finished = {node.key for node in done}
     parts = []
@@ -141,6 +168,7 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
             "proximity": proximities.ravel(),
             **{name: found[name].ravel() for name in _COLUMNS},
             **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in ESTIMATES},
+            "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),
         }
         evaluations = [

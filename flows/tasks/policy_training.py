@@ -41,7 +41,7 @@ def train(jobs: Sequence[Job], context: TaskContext) -> None:
         [job.config["seed"] for job in jobs],
         {
             name: [read_input(job, name, MODELS[name].load, "model") for job in jobs]
-            for name in algorithm.needs
+            for name in algorithm.models_for(config)
         },
         torch.device(context.device),
     )

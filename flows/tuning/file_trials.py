@@ -1,11 +1,11 @@
 """Trials as JSON lines, in the file of their search."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flows.pipeline.tracking.board import Metrics, View
 from flows.pipeline.tracking.file_tracker import FileTracker, describe_node
-from flows.pipeline.tracking.tracker import Metrics
 from flows.tuning.trials import TrialRecord
 
 __all__ = ["FileTrials"]
@@ -61,6 +61,10 @@ class FileTrials:
             "reason": trial.reason,
         }
         self._tracker.file.write(_TRIAL, f"{trial.study}/{trial.number}", content)
+
+    def show(self, views: Sequence[View]) -> str:
+        """A file is looked at with other tools."""
+        return ""
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None

@@ -7,18 +7,21 @@ result was there before and has its run below the sweep that made it. Both are f
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flows.pipeline.tracking.board import Metrics, View
 from flows.pipeline.tracking.mlflow_run import flat
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
-from flows.pipeline.tracking.tracker import Metrics
+from flows.pipeline.tracking.mlflow_ui import sweep_address
+from flows.pipeline.tracking.mlflow_writes import log_batches
 from flows.tuning.trials import TrialRecord
 
 __all__ = ["MlflowTrials"]
 
-_STATUS = {"COMPLETE": "FINISHED", "PRUNED": "KILLED", "FAIL": "FAILED", "INTERRUPTED": "KILLED"}
+# To be stopped early is a result of a trial; MLflow has no word for it, so the tag `state` says it.
+_STATUS = {"COMPLETE": "FINISHED", "PRUNED": "FINISHED", "FAIL": "FAILED", "INTERRUPTED": "KILLED"}
 
 
 class MlflowTrials:
@@ -75,9 +78,13 @@ class MlflowTrials:
         tags = {"study": trial.study, "trial": str(trial.number), "state": trial.state}
         if trial.loss is not None:
             tags["validation_loss"] = repr(trial.loss)
-        made = trial.node is not None and trial.folder is not None
-        if not (made and self._nodes.record(trial.node, trial.folder, tags)):
+        node, folder = trial.node, trial.folder
+        if node is None or folder is None or not self._nodes.record(node, folder, tags):
             self._record_small(trial, tags)
+            return
+        # Over the percent of the budget, as of trials that were stopped: all in one chart.
+        with self.experiment.writing():
+            log_batches(self.experiment.client, self._nodes.run_of(node), _on_the_way(trial))
 
     def _record_small(self, trial: TrialRecord, tags: Mapping[str, str]) -> None:
         """Writes the run of a trial that is not the run of its node."""
@@ -90,17 +97,22 @@ class MlflowTrials:
             params |= dict(trial.node.config)
         if trial.reason:
             tags["error"] = trial.reason
-        now = int(1000 * time.time())
-        metrics = [
-            ("model/validation_loss_on_the_way", loss, now, percent)
-            for percent, loss in trial.intermediate_losses.items()
-        ]
+        metrics = _on_the_way(trial)
         if trial.loss is not None:
-            metrics.append(("validation_loss", trial.loss, now, 0))
+            metrics.append(("validation_loss", trial.loss, int(1000 * time.time()), 0))
         with self.experiment.writing():
             self.experiment.write_run(
                 name, tags, _STATUS[trial.state], params=flat(params), metrics=metrics
             )
+
+    def show(self, views: Sequence[View]) -> str:
+        """Saves views on the page of the runs, see `Trials.show`.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        self._nodes.prepare(views)
+        return sweep_address(self.experiment, self.sweep.run_id)
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
@@ -111,3 +123,9 @@ class MlflowTrials:
             TrackingError: MLflow cannot be used.
         """
         self._nodes.close(status, files, metrics)
+
+
+def _on_the_way(trial: TrialRecord) -> list[tuple[str, float, int, int]]:
+    now = int(1000 * time.time())
+    name = "model/validation_loss_on_the_way"
+    return [(name, loss, now, percent) for percent, loss in trial.intermediate_losses.items()]

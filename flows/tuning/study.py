@@ -35,6 +35,7 @@ __all__ = ["Study", "StudySpecification", "ended_trials", "has_ended"]
 _RANDOM_FIRST = 10  # trials before the sampler begins to learn, as by Optuna's default
 _COMPARED_FROM = 5  # complete trials before any is pruned
 _PATIENCE = 25  # percent of the budget that every trial gets
+_NOTE, _VERSION = "dashboard:note_str:0", "dashboard:note_ver"  # of optuna-dashboard
 _COMPARED = 3  # losses at the same percentage that a comparison needs
 
 
@@ -127,6 +128,24 @@ class Study:
         )
         self._reported: dict[int, int] = {}
         self._start = spaces.parameters(specification.space, specification.start)
+
+    def describe(self, objective: str, note: str) -> None:
+        """Name what is minimised and leave a note, both as optuna-dashboard shows them.
+
+        Args:
+            objective: What a trial's value is.
+            note: Markdown.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            if self._study.metric_names != [objective]:
+                self._study.set_metric_names([objective])
+        storage, number = self._study._storage, self._study._study_id
+        known = storage.get_study_system_attrs(number)
+        # The dashboard's own function needs it installed; a journal may be opened elsewhere.
+        if known.get(_NOTE) != note:
+            storage.set_study_system_attr(number, _NOTE, note)
+            storage.set_study_system_attr(number, _VERSION, int(known.get(_VERSION, 0)) + 1)
 
     def trials(self) -> list[FrozenTrial]:
         """All trials so far, in order."""

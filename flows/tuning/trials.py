@@ -1,12 +1,12 @@
 """What a search needs of a tracker, and one that records nothing."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from flows.pipeline.plan import Node
-from flows.pipeline.tracking.tracker import Metrics
+from flows.pipeline.tracking.board import Metrics, View
 
 __all__ = ["NullTrials", "TrialRecord", "Trials"]
 
@@ -64,6 +64,13 @@ class Trials(Protocol):
     def log_trial(self, trial: TrialRecord) -> None:
         """Records a trial that has ended."""
 
+    def show(self, views: Sequence[View]) -> str:
+        """Prepares looks at the trials.
+
+        Returns:
+            Address of the search's record; empty if it has none.
+        """
+
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
     ) -> None:
@@ -88,6 +95,10 @@ class NullTrials:
 
     def log_trial(self, trial: TrialRecord) -> None:
         """Does nothing."""
+
+    def show(self, views: Sequence[View]) -> str:
+        """Nothing is recorded."""
+        return ""
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None

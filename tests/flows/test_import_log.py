@@ -95,9 +95,29 @@ def test_the_folder_holds_a_report_and_conf_names_it(
     assert (folder / "report.png").stat().st_size > 10_000
     assert (folder / "schema.yaml").read_bytes() == Path("furnace.yaml").read_bytes()
     named = (project / "conf" / "dataset" / "furnace.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(named) == {"furnace": {"log": "logs/furnace"}}
+    assert yaml.safe_load(named) == {"furnace": {"domain": "plant", "log": "logs/furnace"}}
     assert "datasets=[furnace]" in capsys.readouterr().out
     assert [path.name for path in (project / "logs").iterdir()] == ["furnace"]
+
+
+def test_with_a_folder_of_ones_own_everything_is_there(
+    project: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = tmp_path_factory.mktemp("own")
+    monkeypatch.setenv(files.HOME, str(own))
+    Path("log.csv").write_text(as_csv(furnace()), encoding="utf-8")
+    write_schema(project)
+    words = ["log.csv", "name=furnace", "replace=true"]
+    for _ in range(2):
+        assert import_log(load_import_settings(words)) == 0
+    assert OfflineDataset.open(own / "logs" / "furnace").card.name == "furnace"
+    named = (own / "conf" / "dataset" / "furnace.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(named)["furnace"]["log"] == "logs/furnace"
+    assert not (project / "logs").exists()
+    (project / "conf" / "dataset" / "taken.yaml").touch()
+    write_schema(project).rename("taken.yaml")
+    with pytest.raises(SettingsError, match="name=taken is that of a dataset of this project"):
+        import_log(load_import_settings(["log.csv", "name=taken"]))
 
 
 def test_the_same_log_is_the_same_dataset_from_any_kind_of_file(project: Path) -> None:

@@ -186,7 +186,7 @@ def test_films_are_those_of_the_first_seed() -> None:
     assert film_notes(plan, {"hopper"}) == []
 
 
-def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
+def test_the_headline_is_the_best_proximity_s_and_all_are_a_curve_over_its_percent() -> None:
     def summary(algorithm: str, *points: tuple[float | None, float]) -> dict[str, Any]:
         stored = [{"lambda": x, **POINT, "tenth_percentile": y} for x, y in points]
         return {"dataset": "bad-0.4", "algorithm": algorithm, "points": stored}
@@ -196,7 +196,8 @@ def test_the_headline_is_a_curve_over_percent_of_the_proximity() -> None:
         summary("bc", (None, -6.0)),
     ]
     assert report.Report([], pd.DataFrame(), EMPTY, summaries, []).headline == {
-        "tenth_percentile/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
+        "tenth_percentile/bad-0.4/lion": [(0, -7.0)],
+        "over_proximity/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
     }
 

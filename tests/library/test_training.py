@@ -61,6 +61,17 @@ def test_every_algorithm_trains_and_acts(algorithm: str) -> None:
     assert (np.abs(action) <= 1).all()
 
 
+def test_lion_learns_in_the_models_that_it_is_told() -> None:
+    asked = {name: MODELS[name] for name in ("behaviour_policy", "deterministic_ensemble")}
+    small = SMALL["lion"] | {"updates": 6, "transition": "deterministic_ensemble"}
+    policy = pb.train(LOG, "lion", models=asked, progress=False, **small)
+    assert not np.array_equal(
+        policy.act(LOG.frames[:2], 0.5), trained("lion").act(LOG.frames[:2], 0.5)
+    )
+    with pytest.raises(ValueError, match="its models are behaviour_policy, recurrent_ensemble, de"):
+        pb.train(LOG, "lion", models={"action_vae": {}}, progress=False)
+
+
 def nodes_of(plan: Sequence[Node], component: str) -> list[Node]:
     return [node for node in plan if node.component == component]
 
@@ -107,16 +118,22 @@ def assert_equal(one: StoredPolicy, other: StoredPolicy) -> None:
         torch.testing.assert_close(tensor, other.tensors()[name], rtol=0, atol=0)
 
 
-@pytest.mark.slow(2)
-def test_settings_are_those_of_the_datasets_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    fitted = {}
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Configuration objects of the models that would have been fitted; training stops."""
+    configs: dict[str, Any] = {}
 
     def fit(folder: Path, name: str, log: Any, config: Any, *rest: Any, **named: Any) -> None:
-        fitted[name] = config
+        configs[name] = config
 
     monkeypatch.setattr("proximity_bench.training.fit_into", fit)
     monkeypatch.setattr("proximity_bench.training.MODELS", {n: _Unread() for n in MODELS})
     monkeypatch.setattr("proximity_bench.training._train", stop)
+    return configs
+
+
+@pytest.mark.slow(2)
+def test_settings_are_those_of_the_datasets_domain(fitted: dict[str, Any]) -> None:
     log = pb.dataset("hopper", transitions=1200, steps=120)
     with pytest.raises(StoppedError) as stopped:
         pb.train(
@@ -129,6 +146,12 @@ def test_settings_are_those_of_the_datasets_domain(monkeypatch: pytest.MonkeyPat
     assert fitted["recurrent_ensemble"] == sweep.model_on("hopper", "recurrent_ensemble")
     own = fitted["behaviour_policy"]
     assert (own.hidden, own.epochs) == ((40,), 3)  # WSBC's own clone, and what was given
+
+
+def test_the_log_of_a_plant_has_the_settings_of_plants(fitted: dict[str, Any]) -> None:
+    with pytest.raises(StoppedError):
+        pb.train(make_log(episodes=4, steps=100), "lion", progress=False)
+    assert fitted["recurrent_ensemble"].networks == "joint"  # its reward may depend on anything
 
 
 class _Unread:

@@ -36,6 +36,8 @@ class Algorithm(Generic[C]):
             the same for all budgets, measured roughly on a computer of 2026. Costs order the nodes,
             and estimate their time until times of finished nodes are known.
         needs: Fitted models that the learner is given, names in :data:`components.models.MODELS`.
+        transitions: Models among which its setting `transition` chooses one, that of `needs`
+            first; empty: there is no choice.
         takes_proximity: Whether the proximity is an input of its policies.
         frame_epsilon: Added to every feature's deviation when frames are scaled.
     """
@@ -46,9 +48,17 @@ class Algorithm(Generic[C]):
     version: int
     cost: Callable[[C, DataSizes], float]
     needs: tuple[str, ...] = ()
+    transitions: tuple[str, ...] = ()
     takes_proximity: bool = False
     frame_epsilon: float = 0.0
     version_with_falls: int | None = None
+
+    def models_for(self, config: C) -> tuple[str, ...]:
+        """Names of the models that the learner is given with these settings."""
+        if not self.transitions:
+            return self.needs
+        chosen: str = getattr(config, "transition")  # noqa: B009 - no setting of all algorithms
+        return tuple(chosen if name in self.transitions else name for name in self.needs)
 
     def version_on(self, dynamics: Mapping[str, Any]) -> int:
         """The version that counts for a dataset, by the dynamics specification on its card."""

@@ -69,7 +69,7 @@ def learner_inputs(
             lane_key(data.card.name, algorithm.name, seed)
             for data, seed in zip(datasets, seeds, strict=True)
         ],
-        models={name: models[name] for name in algorithm.needs},
+        models=dict(models),
     )
 
 

@@ -1,6 +1,7 @@
 """Returns of virtual trajectories in the scale of the log, which LION and model_based maximise."""
 
 from collections.abc import Callable
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -8,36 +9,51 @@ from torch import Tensor
 from components.algorithms.parts.learner import LearnerInputs
 from components.core.draws import Choice, Draw
 from components.data.starts import start_rows
+from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
+from components.models.transition.interface import TransitionModel
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
 
-__all__ = ["VirtualReturns"]
+__all__ = ["TRANSITIONS", "VirtualReturns"]
+
+TRANSITIONS: Final = ("recurrent_ensemble", "deterministic_ensemble")
+"""Models in which virtual trajectories can be made here."""
 
 
 class VirtualReturns:
-    """Differentiable returns on recurrent ensembles, every step taking the least reward.
+    """Differentiable returns on ensembles, every step taking the least reward.
 
     Args:
         inputs: Data and ensembles of the lanes.
         horizon: Steps of a trajectory.
         discount: gamma.
+        transition: The ensembles, one of `TRANSITIONS`.
+        scale: By which returns are divided; None: by the size of the log's own mean return.
 
     Attributes:
-        scale: ``[L, 1]`` size of the log's own mean return, by which returns are divided.
+        scale: ``[L, 1]`` the same for every lane.
     """
 
-    def __init__(self, inputs: LearnerInputs, horizon: int, discount: float) -> None:
+    def __init__(
+        self,
+        inputs: LearnerInputs,
+        horizon: int,
+        discount: float,
+        transition: str = TRANSITIONS[0],
+        scale: float | None = None,
+    ) -> None:
         self._data, self._horizon, self._discount = inputs.data, horizon, discount
         device = inputs.data.device
-        ensembles = inputs.fitted("recurrent_ensemble", RecurrentEnsemble)
-        self._environment = ModelEnvironment(
-            RecurrentTransition(ensembles, device),
-            inputs.dynamics,
-            inputs.data.frame_scaling,
-            device,
-        )
-        self.scale = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
+        scaling = inputs.data.frame_scaling
+        model: TransitionModel
+        if transition == "recurrent_ensemble":
+            model = RecurrentTransition(inputs.fitted(transition, RecurrentEnsemble), device)
+        else:
+            model = MLPTransition(inputs.fitted(transition, MLPEnsemble), scaling, device)
+        self._environment = ModelEnvironment(model, inputs.dynamics, scaling, device)
+        logged = torch.tensor(inputs.mean_window_returns, device=device).abs()[:, None]
+        self.scale = logged if scale is None else torch.full_like(logged, scale)
 
     def start_draw(self, batch: int, window: int, after: int) -> Draw:
         """Drawing rule of start states, see :func:`components.data.starts.start_rows`."""

@@ -21,7 +21,7 @@ _SINGLE: Final = ("time", "episode", "reward", "terminal")
 """Roles that one column has at most."""
 _TIME: Final = re.compile(r"(time|timestamp|datetime|date|zeit|t)", re.IGNORECASE)
 _EPISODE: Final = re.compile(
-    r"(episode|run|batch|trial|trajectory|charge|heat)(_?(id|nr|no))?", re.I
+    r"(episode|run|batch|trial|trajectory|charge|heat|shift|campaign)(_?(id|nr|no))?", re.I
 )
 _REWARD: Final = re.compile(r"(reward|rewards|profit|return|score)", re.IGNORECASE)
 _TERMINAL: Final = re.compile(r"(terminal|terminals|terminated|done|failed|tripped|fault)", re.I)

@@ -1,14 +1,15 @@
 """The interface of dataset sources, and the choice among their kinds."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
 from components.data.sources.stored_log import StoredLog
+from components.data.sources.world import WorldSpec
 
-__all__ = ["DatasetSource", "generate", "source_kind"]
+__all__ = ["SOURCE_FIELDS", "DatasetSource", "generate", "source_kind"]
 
 
 class DatasetSource(Protocol):
@@ -50,13 +51,22 @@ class DatasetSource(Protocol):
         """Make the dataset; the same bytes for the same fields, ingredients and seed."""
 
 
+_KINDS: Final = {
+    "log": StoredLog,
+    "robot": RobotSpec,
+    "goals": WorldSpec,
+    "controller": IndustrialSpec,
+}
+"""Classes by the field that only their datasets have."""
+SOURCE_FIELDS: Final = tuple(_KINDS)
+"""A dataset's fields hold one of these, which tells its kind."""
+
+
 def source_kind(
     fields: Mapping[str, Any],
-) -> type[IndustrialSpec] | type[RobotSpec] | type[StoredLog]:
+) -> type[IndustrialSpec] | type[RobotSpec] | type[StoredLog] | type[WorldSpec]:
     """The class that plain fields, such as those of a configuration file, describe."""
-    if "log" in fields:
-        return StoredLog
-    return RobotSpec if "robot" in fields else IndustrialSpec
+    return next((kind for name, kind in _KINDS.items() if name in fields), IndustrialSpec)
 
 
 def generate(source: DatasetSource, seed: int, threads: int = 1) -> OfflineDataset:

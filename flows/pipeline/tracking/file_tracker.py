@@ -1,13 +1,14 @@
 """Sweeps as JSON lines: STORE/tracking/SWEEP.jsonl, for people, `jq` and `pandas.read_json`.
 
 Every line is an event with its `time` in seconds since 1970 and what it is `about`: `open`, `node`,
-`failure` or `close`. An event is written unless the newest one about the same thing is equal, so a
-sweep that is run again adds nothing, and a node that failed and then finished has two lines.
+`failure`, `row` or `close`. An event is written unless the newest one about the same thing is
+equal, so a sweep that is run again adds nothing, and a node that failed and then finished has two
+lines.
 """
 
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from components.core.sealed import check_folder, content_digest, read_record
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.json_lines import append_line, mend_last_line, read_lines
 from flows.pipeline.plan import Node, Plan
+from flows.pipeline.tracking.board import Entry, View
 from flows.pipeline.tracking.redaction import without_secrets
 from flows.pipeline.tracking.sweep_lock import hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
@@ -175,6 +177,29 @@ class FileTracker:
         self.file.write(
             "failure", node.key, describe_node(node) | {"reason": without_secrets(reason)}
         )
+
+    def log_entry(self, entry: Entry) -> None:
+        """Records a row of the flat table of results, see `Tracker.log_entry`.
+
+        Raises:
+            TrackingError: the file cannot be written.
+            DamagedFileError: a file that the row is read from is damaged.
+        """
+        if self.file.content(entry.about) == entry.content:
+            return
+        row = entry.row()
+        fields = {
+            "name": row.name,
+            "params": dict(row.params),
+            "tags": dict(row.tags),
+            "metrics": {name: list(points) for name, points in row.metrics.items()},
+            "nodes": {role: node.key for role, node in row.nodes.items()},
+            "content": entry.content,
+        }
+        self.file.write("row", entry.about, fields)
+
+    def prepare(self, views: Sequence[View]) -> None:
+        """Does nothing: a file is looked at with other tools."""
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None

@@ -14,17 +14,20 @@ from typing import Any
 from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.locks import locked
+from flows.pipeline.tracking.board import View
 from flows.pipeline.tracking.mlflow_address import StoreAddress, path_of
 from flows.pipeline.tracking.mlflow_errors import refusal
 from flows.pipeline.tracking.mlflow_leftovers import close_leftovers
 from flows.pipeline.tracking.mlflow_moves import follow_move, former_place
 from flows.pipeline.tracking.mlflow_run import link_tree
 from flows.pipeline.tracking.mlflow_setup import (
+    ABOUT,
     EXPERIMENT,
     import_mlflow,
     make_database,
     source_tags,
 )
+from flows.pipeline.tracking.mlflow_views import view_tags
 from flows.pipeline.tracking.mlflow_writes import log_batches, log_datasets
 from flows.pipeline.tracking.redaction import without_secrets
 
@@ -86,11 +89,15 @@ class MlflowExperiment:
             place = self.address.artifacts  # a server decides by itself where its artifacts lie
             if place is not None:
                 (self.root / "artifacts").mkdir(exist_ok=True)
-            return str(self.client.create_experiment(name, artifact_location=place))
+            about = ABOUT.get(name, {})
+            return str(self.client.create_experiment(name, artifact_location=place, tags=about))
         if not self.address.own:
             self._check_place(experiment.artifact_location)
         if experiment.lifecycle_stage != "active":
             self.client.restore_experiment(experiment.experiment_id)
+        for tag, text in ABOUT.get(name, {}).items():
+            if tag not in experiment.tags:  # one that people have changed stays
+                self.client.set_experiment_tag(experiment.experiment_id, tag, text)
         return str(experiment.experiment_id)
 
     def _check_place(self, location: str) -> None:
@@ -111,6 +118,17 @@ class MlflowExperiment:
         """
         with self.as_tracking_errors():
             return self.client.get_experiment(self.id)
+
+    def prepare(self, views: Iterable[View]) -> None:
+        """Saves views that the experiment's page offers, in place of earlier ones of these keys.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        with self.writing():
+            known = self.client.get_experiment(self.id).tags
+            for tag, text in view_tags(views, known).items():
+                self.client.set_experiment_tag(self.id, tag, text)
 
     def owns(self, tags: Mapping[str, str]) -> bool:
         """Whether a run was made by this store, whose locks say which processes live.
@@ -172,8 +190,7 @@ class MlflowExperiment:
         tags = {name: without_secrets(text) for name, text in (self.common | dict(tags)).items()}
         run = self.client.create_run(self.id, start_time=start, run_name=name, tags=tags)
         run_id = str(run.info.run_id)
-        log_batches(self.client, run_id, params=params)
-        log_batches(self.client, run_id, metrics=metrics)
+        log_batches(self.client, run_id, metrics=metrics, params=params)
         log_datasets(self.client, run_id, datasets)
         if folder is not None:
             self._keep(run_id, run.info.artifact_uri, folder)

@@ -11,10 +11,39 @@ from typing import Any
 
 from flows.pipeline.tracking.mlflow_address import StoreAddress, sqlite_address
 
-__all__ = ["EXPERIMENT", "import_mlflow", "make_database", "source_tags"]
+__all__ = [
+    "ABOUT",
+    "EXPERIMENT",
+    "LEADERBOARD",
+    "import_mlflow",
+    "make_database",
+    "source_tags",
+]
 
 EXPERIMENT = "proximity-bench"
 """Name of the MLflow experiment that all sweeps share."""
+
+LEADERBOARD = f"{EXPERIMENT} leaderboard"
+"""Name of the MLflow experiment with one flat run per result."""
+
+_NOTES = {
+    EXPERIMENT: "Everything that was computed: a run per sweep or search, below it one per node "
+    "or trial. Saved views (in the menu of this page) list one kind of runs flat, side by side. "
+    f"Results are compared in the experiment **{LEADERBOARD}**.",
+    LEADERBOARD: "One run per dataset, algorithm and seed, with what its policies achieved in the "
+    "real system. Sort by any column, or open a saved view: all algorithms on one dataset, one "
+    "algorithm over all datasets, results over the proximity. A run's note leads to the data, the "
+    "models and the policy behind it.",
+}
+ABOUT = {
+    name: {"mlflow.experimentKind": "custom_model_development", "mlflow.note.content": note}
+    for name, note in _NOTES.items()
+}
+ABOUT[LEADERBOARD] |= {
+    "mlflow.experiment.primaryMetric.name": "return/tenth_percentile",
+    "mlflow.experiment.primaryMetric.greaterIsBetter": "True",
+}
+"""Tags of an experiment by its name: what opens MLflow's view of model training, and a note."""
 
 
 def import_mlflow() -> Any:

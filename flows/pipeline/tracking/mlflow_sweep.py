@@ -9,7 +9,12 @@ from typing import Any
 from flows.pipeline.plan import Plan
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_run import flat
-from flows.pipeline.tracking.mlflow_writes import log_anew, log_batches
+from flows.pipeline.tracking.mlflow_writes import (
+    DIGEST_LENGTH,
+    log_anew,
+    log_batches,
+    log_datasets,
+)
 from flows.pipeline.tracking.redaction import without_secrets
 from flows.pipeline.tracking.sweep_lock import check_sweep_name, hold_sweep
 from flows.pipeline.tracking.tracker import Metrics
@@ -31,6 +36,7 @@ class MlflowSweep:
         self.run_id: str | None = None
         self._experiment = experiment
         self._lock = ExitStack()
+        self._datasets: dict[tuple[str, str], Mapping[str, Any]] = {}
 
     @property
     def child_tags(self) -> dict[str, str]:
@@ -85,6 +91,29 @@ class MlflowSweep:
         log_batches(client, run.info.run_id, params=new)
         return str(run.info.run_id)
 
+    def add_datasets(self, datasets: Iterable[Mapping[str, Any]]) -> None:
+        """Notes data sets that nodes have read; `close` names them as the sweep's own.
+
+        Args:
+            datasets: Per data set its `name`, `digest` and `source`.
+        """
+        for data in datasets:
+            self._datasets[str(data["name"]), str(data["digest"])[:DIGEST_LENGTH]] = data
+
+    def add_to_note(self, text: str) -> None:
+        """Adds a paragraph to the note of the parent run, if one is open.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        if self.run_id is None:
+            return
+        client, tag = self._experiment.client, "mlflow.note.content"
+        with self._experiment.writing():
+            note = client.get_run(self.run_id).data.tags.get(tag, "")
+            if text not in note:
+                client.set_tag(self.run_id, tag, f"{note}\n\n{text}".strip())
+
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
     ) -> None:
@@ -105,7 +134,11 @@ class MlflowSweep:
             for file in files:
                 client.log_artifact(self.run_id, str(file), "report")
             log_anew(client, self.run_id, metrics or {})
-            begun = client.get_run(self.run_id).info.start_time or 0
+            run = client.get_run(self.run_id)
+            known = {(data.dataset.name, data.dataset.digest) for data in run.inputs.dataset_inputs}
+            new = [data for key, data in self._datasets.items() if key not in known]
+            log_datasets(client, self.run_id, new)
+            begun = run.info.start_time or 0
             # Not before the start, even if the clock was set back.
             end = max(begun, int(1000 * time.time()))
             client.set_terminated(self.run_id, status, end_time=end)

@@ -4,12 +4,14 @@ A node's run is written after its artifact is complete on disk. A run that a kil
 half-written is closed as KILLED when the store is opened next, and the node gets a whole one.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from components.core.sealed import content_digest, read_record
 from flows.pipeline.plan import Node, Plan
+from flows.pipeline.tracking.board import Entry, View
+from flows.pipeline.tracking.mlflow_board import MlflowBoard
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_run import flat, read_content
 from flows.pipeline.tracking.mlflow_sweep import MlflowSweep
@@ -41,6 +43,8 @@ class MlflowTracker:
         """
         self.experiment = MlflowExperiment(root, source)
         self.sweep = MlflowSweep(self.experiment)
+        self._source = source
+        self._board: MlflowBoard | None = None
         self._runs: dict[str, tuple[str, Mapping[str, str]]] = {}  # id and tags by key
 
     def open(
@@ -115,6 +119,7 @@ class MlflowTracker:
             if self._has_run(node.key, digest):
                 return False
             content = read_content(folder)
+            self.sweep.add_datasets(content.datasets)
             written = flat(content.tags) | self._tags(node)
             written |= {_CONTENT: digest} if digest else {}
             written |= {self._mark: "computed"} | dict(tags or {})
@@ -130,6 +135,10 @@ class MlflowTracker:
             )
             self._runs[node.key] = (run_id, written)
             return True
+
+    def run_of(self, node: Node) -> str:
+        """Id of the run of a node that is recorded."""
+        return self._runs[node.key][0]
 
     def log_failure(self, node: Node, reason: str) -> None:
         """Records a failed node with its traceback.
@@ -151,6 +160,38 @@ class MlflowTracker:
                 params=flat(dict(node.config)),
                 texts={"traceback.txt": reason},
             )
+
+    def log_entry(self, entry: Entry) -> None:
+        """Records a row of the leaderboard, see `MlflowBoard.log`.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+            DamagedFileError: a file that the row is read from is damaged.
+        """
+        runs = {key: run_id for key, (run_id, _) in self._runs.items()}
+        self.board.log(entry, self.sweep.name, runs)
+
+    def prepare(self, views: Sequence[View]) -> None:
+        """Saves views on the pages of the leaderboard and of the nodes' runs.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        self.experiment.prepare(view for view in views if not view.board)
+        if any(view.board for view in views):
+            self.board.prepare([view for view in views if view.board])
+            self.sweep.add_to_note(self.board.link(self.sweep.name))
+
+    @property
+    def board(self) -> MlflowBoard:
+        """The leaderboard; a store whose sweeps have no results gets none.
+
+        Raises:
+            TrackingError: MLflow cannot be used.
+        """
+        if self._board is None:
+            self._board = MlflowBoard(self.experiment, self._source)
+        return self._board
 
     @property
     def _mark(self) -> str:

@@ -17,11 +17,14 @@ from urllib.parse import quote
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_setup import EXPERIMENT
+from flows.pipeline.tracking.mlflow_views import saved_views, view_query
 from flows.pipeline.tracking.redaction import without_secrets
 
-__all__ = ["UiServer", "runs_address"]
+__all__ = ["DEFAULT_PORT", "UiServer", "runs_address", "sweep_address", "view_addresses"]
 
 _HOST = "127.0.0.1"
+DEFAULT_PORT = 5000
+"""Of the UI, unless another one is asked for."""
 _START = 180.0  # seconds until a server must answer
 _END = 10.0  # seconds in which it may end by itself
 _PAUSE = 0.2  # seconds between two questions
@@ -38,6 +41,36 @@ def runs_address(port: int, experiment: Any) -> str:
     if experiment is None:
         return address
     return f"{address}/#/experiments/{experiment.experiment_id}/runs?workflowType=machine_learning"
+
+
+def sweep_address(experiment: Any, run_id: str | None) -> str:
+    """The address of a run: on the user's server, or where `flows.ui` serves the store.
+
+    Args:
+        experiment: The MlflowExperiment.
+        run_id: Of the run; None for the list of all.
+    """
+    named = experiment.address.tracking
+    remote = named.startswith(("http://", "https://"))
+    server = (
+        without_secrets(named).partition("?")[0].rstrip("/")
+        if remote
+        else f"http://{_HOST}:{DEFAULT_PORT}"
+    )
+    run = "" if run_id is None else f"/{run_id}"
+    return f"{server}/#/experiments/{experiment.id}/runs{run}?workflowType=machine_learning"
+
+
+def view_addresses(port: int, experiment: Any) -> dict[str, str]:
+    """The addresses of an experiment's saved views by their names, with their charts.
+
+    Args:
+        port: Of the server.
+        experiment: As MLflow knows it.
+    """
+    page = runs_address(port, experiment)
+    views = saved_views(experiment.tags)
+    return {name: f"{page}&{view_query(key)}" for key, name in views.items()}
 
 
 class UiServer:

@@ -8,20 +8,23 @@ from typing import Any
 
 from flows.pipeline.tracking.tracker import Metrics
 
-__all__ = ["log_anew", "log_batches", "log_datasets", "split_finite"]
+__all__ = ["DIGEST_LENGTH", "log_anew", "log_batches", "log_datasets", "split_finite"]
 
 NOT_FINITE = "not_finite"
 """Tag of a run with the names of its metrics that are infinite or no number."""
 
+DIGEST_LENGTH = 36
+"""Of a data set's digest in MLflow; the rest is cut."""
+
 _CHUNK = {"metrics": 1000, "params": 100, "tags": 100}  # MLflow's limits for one log_batch
+_TOGETHER = 1000
 _TAG_LENGTH = 5000
-_DIGEST_LENGTH = 36  # MLflow's limit
 
 
 def log_batches(
     client: Any,
     run_id: str,
-    metrics: Iterable[tuple[str, float, int, int]] = (),
+    metrics: Iterable[tuple[Any, ...]] = (),
     params: Mapping[str, str] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
@@ -33,7 +36,8 @@ def log_batches(
     Args:
         client: An MlflowClient.
         run_id: The run.
-        metrics: (name, value, milliseconds since 1970, step).
+        metrics: (name, value, milliseconds since 1970, step); a listed model's also with the
+            model's id, the name and the digest of its data set, and the run's id.
         params: Parameters by name.
         tags: Tags by name.
     """
@@ -46,18 +50,21 @@ def log_batches(
         "params": [Param(*param) for param in (params or {}).items()],
         "tags": [RunTag(*tag) for tag in tags.items()],
     }
-    for name, entries in parts.items():
-        for at in range(0, len(entries), _CHUNK[name]):
-            client.log_batch(run_id, **{name: entries[at : at + _CHUNK[name]]})
+    while any(parts.values()):
+        # One call takes 1,000 entries in all.
+        batch, room = {}, _TOGETHER
+        for name in ("params", "tags", "metrics"):
+            batch[name] = parts[name][: min(room, _CHUNK[name])]
+            parts[name] = parts[name][len(batch[name]) :]
+            room -= len(batch[name])
+        client.log_batch(run_id, **batch)
 
 
-def split_finite(
-    metrics: Iterable[tuple[str, float, int, int]],
-) -> tuple[list[tuple[str, float, int, int]], str]:
+def split_finite(metrics: Iterable[tuple[Any, ...]]) -> tuple[list[tuple[Any, ...]], str]:
     """The metrics that are finite numbers, and the others as a text.
 
     Args:
-        metrics: (name, value, milliseconds since 1970, step).
+        metrics: Each begins with its name and its value.
 
     Returns:
         Such metrics, and e.g. `loss: inf at 3 of 5 steps, size: nan`.
@@ -120,7 +127,7 @@ def log_datasets(client: Any, run_id: str, datasets: Sequence[Mapping[str, Any]]
             MetaDataset(
                 source=CodeDatasetSource(tags={"source": str(data.get("source", ""))}),
                 name=str(data["name"]),
-                digest=str(data["digest"])[:_DIGEST_LENGTH],
+                digest=str(data["digest"])[:DIGEST_LENGTH],
             )._to_mlflow_entity(),
             [InputTag("mlflow.data.context", "offline-rl")],
         )

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from flows.pipeline.plan import Node, Plan
+from flows.pipeline.tracking.board import Entry, Metrics, View
 
 __all__ = ["Metrics", "NullTracker", "Tracker"]
-
-Metrics = Mapping[str, Sequence[tuple[int, float]]]
-"""Per name (step, value) pairs; a single number has step 0."""
 
 
 class Tracker(Protocol):
@@ -49,6 +47,16 @@ class Tracker(Protocol):
     def log_failure(self, node: Node, reason: str) -> None:
         """Records a failed node with a traceback or a sentence."""
 
+    def log_entry(self, entry: Entry) -> None:
+        """Records a row of the flat table of results; reads none that is recorded already.
+
+        Raises:
+            DamagedFileError: a file that the row is read from is damaged.
+        """
+
+    def prepare(self, views: Sequence[View]) -> None:
+        """Prepares looks at the runs, in place of earlier ones of the same keys."""
+
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
     ) -> None:
@@ -77,6 +85,12 @@ class NullTracker:
         """Does nothing."""
 
     def log_failure(self, node: Node, reason: str) -> None:
+        """Does nothing."""
+
+    def log_entry(self, entry: Entry) -> None:
+        """Does nothing."""
+
+    def prepare(self, views: Sequence[View]) -> None:
         """Does nothing."""
 
     def close(

@@ -101,15 +101,17 @@ def learner(
     **changes: Any,
 ) -> Any:
     """A stack with one lane per log and seed; models belong to the log, streams to both."""
-    record = ALGORITHMS[algorithm]
+    record, settings = ALGORITHMS[algorithm], config(algorithm, **changes)
     inputs = LearnerInputs(
         data=LaneData(logs, device, record.frame_epsilon),
         keys=[
             lane_key(log.card.name, algorithm, seed) for log, seed in zip(logs, seeds, strict=True)
         ],
-        models={name: [random_model(name, log) for log in logs] for name in record.needs},
+        models={
+            name: [random_model(name, log) for log in logs] for name in record.models_for(settings)
+        },
     )
-    return record.learner(config(algorithm, **changes), inputs)
+    return record.learner(settings, inputs)
 
 
 def run(made: Any, updates: int, start: int = 0) -> list[dict[str, torch.Tensor]]:

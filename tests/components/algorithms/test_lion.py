@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from components.data.dynamics import DynamicsSpecification
+from components.models.mlp_ensemble.ensemble import MLPTransition
 from components.policies.policy import PROXIMITY_SCALING
 from tests.components.algorithms.stacks import learner, run
 from tests.components.models.transition.test_model_environment import by_loop
@@ -13,6 +15,7 @@ from tests.components.synthetic import (
     make_log,
     policy_card,
     random_ensemble,
+    random_model,
     random_policy,
 )
 
@@ -193,3 +196,43 @@ def test_proximity_steers_one_policy() -> None:
     run(made, 300)
     # measured 0.06 and 0.79
     assert distance(made, 0.0) < 0.5 * distance(made, 1.0)
+
+
+def test_returns_can_be_divided_by_something_else_than_the_logs_own() -> None:
+    usual, other = (learner("lion", [LOG], [0], return_scale=scale) for scale in (None, 50.0))
+    assert other._returns.scale.item() == 50.0
+    start, proximity = torch.tensor([[0, 45]]), torch.full((1, 2), 0.5)
+    (returns, penalty), (divided, same) = (
+        made._virtual_losses(start, proximity) for made in (usual, other)
+    )
+    own = abs(LOG.card.all_windows_return_mean)
+    torch.testing.assert_close(divided * 50.0, returns * own)
+    torch.testing.assert_close(penalty, same)
+
+
+def test_trajectories_may_be_made_in_an_ensemble_without_memory() -> None:
+    """Its first reward is the least that a member predicts, clipped as everywhere."""
+    made = learner("lion", [LOG], [0], transition="deterministic_ensemble", horizon=1)
+    start = torch.tensor([[0, 45]])
+    returns, _ = made._virtual_losses(start, torch.full((1, 2), 0.5))
+    model = MLPTransition(
+        [random_model("deterministic_ensemble", LOG)], made._data.frame_scaling, torch.device("cpu")
+    )
+    observations, past = made._data.start_states(start, 1)
+    dynamics = DynamicsSpecification.of_card(LOG.card)
+    actions = made.act(observations, torch.full((1, 2), 0.5))
+    known, count = past[:, :, 0].clone(), len(dynamics.known)
+    moved = known[..., count - 3 : count] * torch.tensor(dynamics.keep)
+    moved = moved + actions * torch.tensor(dynamics.scale)
+    known[..., count - 3 : count] = moved.clamp(dynamics.low, dynamics.high)
+    scaled = ((known - model.frames.mean) / model.frames.scale)[..., :count]
+    own = ((past[:, :, 0] - model.frames.mean) / model.frames.scale)[..., count:]
+    predicted, _ = model.predict(
+        None, observations[:, None], scaled[:, None], own.transpose(1, 2)[:, :, None]
+    )
+    values = predicted.values.clamp(model.low[..., None, None], model.high[..., None, None])
+    mean, scale = model.frames.mean[0, count:], model.frames.scale[0, count:]
+    raw = values * scale[:, None, None] + mean[:, None, None]  # [1, D, K, B]
+    rewards = (raw * torch.tensor(dynamics.reward)[:, None, None]).sum(dim=1)
+    expected = rewards.amin(dim=1) / abs(LOG.card.all_windows_return_mean)
+    torch.testing.assert_close(returns, expected)

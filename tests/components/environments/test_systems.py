@@ -16,6 +16,7 @@ from components.environments.rendering import DRAWABLE
 from components.environments.systems import (
     INDUSTRIAL_BENCHMARK,
     SYSTEMS,
+    WORLD,
     System,
     check_simulator,
     make_batch,
@@ -24,7 +25,7 @@ from components.environments.systems import (
 
 def test_every_robot_is_a_system() -> None:
     robots = {robot.id for robot in ROBOTS.values()}
-    assert set(SYSTEMS) >= {INDUSTRIAL_BENCHMARK.id, *robots}
+    assert set(SYSTEMS) >= {INDUSTRIAL_BENCHMARK.id, WORLD.id, *robots}
     assert all(name == system.id for name, system in SYSTEMS.items())
     assert all(name == robot.name for name, robot in ROBOTS.items())
     assert robots <= set(DRAWABLE) == {system.id for system in SYSTEMS.values() if system.drawable}
@@ -59,7 +60,7 @@ def test_single_robots_have_classes_that_can_be_copied(robot: Robot) -> None:
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def test_systems_tell_their_simulator(system: System) -> None:
     found = system.simulator()
-    own = system is INDUSTRIAL_BENCHMARK
+    own = system in (INDUSTRIAL_BENCHMARK, WORLD)
     assert (found == "") == own
     assert own or found.startswith(f"mujoco {mujoco.__version__} on {system.name}.xml ")
     check_simulator(system.id, found)

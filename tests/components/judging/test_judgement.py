@@ -88,13 +88,20 @@ def test_values_are_those_of_a_plain_loop_over_policies() -> None:
 
 
 def test_the_logs_own_transitions_lie_within_its_support_and_foreign_ones_outside() -> None:
-    support = Support(LOG, 400, 0.99)
     own = np.concatenate([LOG.frames[LOG.frame_rows()], LOG.actions], axis=1)
+    support = Support(LOG, own[-80:], 400, 0.99)
     # Those that are compared to are neighbours of themselves; of the held-out 80 one or two stray.
     assert support.outside(own) <= 0.01
     far = own.copy()
     far[:, 4] += 20 * own[:, 4].std()
     assert support.outside(np.stack([own, far])).tolist() == [support.outside(own), 1.0]
+
+
+def test_what_the_behaviour_policy_visits_is_familiar() -> None:
+    own = np.concatenate([LOG.frames[LOG.frame_rows()], LOG.actions], axis=1)
+    away = own[:50] + 3 * own.std(axis=0)
+    assert Support(LOG, own, 400, 0.99).outside(away) > 0.5
+    assert Support(LOG, away, 400, 0.99).outside(away) <= 0.02  # beyond its quantile
 
 
 def test_a_judgement_does_not_depend_on_the_other_policies() -> None:
@@ -134,8 +141,8 @@ def test_without_an_ensemble_critics_and_the_support_remain() -> None:
     [found] = judge(LOG, None, behaviour, [far], [None], CONFIG, CPU, names="a")
     assert np.isnan(found.model).all()
     assert np.isfinite(found.fitted_q).all()
-    # Half of the log's actions are random, so some of these lie within; of its own, 1 % do not.
-    assert found.outside > 0.3
+    # Half of the log's actions are random, so most of these lie within; of its own, 1 % do not.
+    assert found.outside > 0.05
 
 
 def test_the_behaviour_policy_is_at_no_distance_from_itself() -> None:

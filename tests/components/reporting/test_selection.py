@@ -57,9 +57,10 @@ def test_only_the_first_rows_of_every_log_are_printed() -> None:
 def test_judges_are_measured_where_true_returns_are_known() -> None:
     known = policies()
     known.loc[known["dataset"] == "first", "true_return"] = np.nan
-    judges = judge_table(known, {"second": -10.0})
+    judges = judge_table(known, {"second": -10.0}, {"second": "operators"})
     assert set(judges["dataset"]) == {"second"}
     assert list(judges["score"]) == list(SCORES)
     assert (judges["policies"] == 6).all()
+    assert (judges["group"] == "operators").all()
     assert judges.set_index("score").loc["model", "regret_1"] == 0.0
-    assert judge_table(known.assign(true_return=np.nan), {}).empty
+    assert judge_table(known.assign(true_return=np.nan), {}, {}).empty

@@ -52,7 +52,7 @@ def test_thesis_numbers_are_joined() -> None:
     assert numbers["optimized-0.6", "td3_bc"] == (-62.7, 0.1)
     assert sum(algorithm == "td3_bc" for _, algorithm in numbers) >= 19
     missing = [path.stem for path in CONF.glob("*.yaml") if (path.stem, "td3_bc") not in numbers]
-    assert missing == []
+    assert missing == ["world"]  # a sanity check, which the tables of the thesis do not have
     [row] = result_table([TD3_BC]).to_dict("records")
     assert (row["thesis_tenth_percentile"], row["thesis_standard_error"]) == (-77.7, 0.1)
     assert (row["seeds"], row["policies"]) == (5, 10)

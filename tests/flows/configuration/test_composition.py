@@ -198,6 +198,32 @@ def test_a_broken_dataset_matters_only_to_those_who_select_it(
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("of_domain", "of_dataset", "chosen"),
+    [
+        ("{}", "", True),
+        ("{by_name_only: true}", "", False),
+        ("{}", "  by_name_only: true\n", False),
+        ("{by_name_only: true}", "  by_name_only: false\n", True),
+    ],
+)
+def test_all_leaves_out_what_is_chosen_by_name_only(
+    conf: Path, of_domain: str, of_dataset: str, chosen: bool
+) -> None:
+    written = f"mine:\n  domain: new\n  controller: bad\n  epsilon: 0.1\n{of_dataset}"
+    (conf / "dataset" / "mine.yaml").write_text(written, encoding="utf-8")
+    (conf / "domain" / "new.yaml").write_text(f"new: {of_domain}\n", encoding="utf-8")
+    assert ("mine" in load_settings(["datasets=all"]).datasets) == chosen
+    assert load_settings(["datasets=[mine]"]).datasets == ("mine",)
+
+
+def test_by_name_only_is_true_or_false(conf: Path) -> None:
+    written = "mine:\n  controller: bad\n  epsilon: 0.1\n  by_name_only: perhaps\n"
+    (conf / "dataset" / "mine.yaml").write_text(written, encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"dataset\.mine\.by_name_only='perhaps'"):
+        load_settings(["datasets=[mine]"])
+
+
 @pytest.mark.parametrize("name", ["größe", "1.0", "a b", "bad-0.4 (copy)"])
 def test_a_dataset_may_have_any_name_that_is_its_file_s(conf: Path, name: str) -> None:
     written = f'"{name}":\n  controller: bad\n  epsilon: 0.1\n'

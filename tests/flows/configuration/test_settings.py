@@ -10,6 +10,7 @@ import pytest
 from components.algorithms import ALGORITHMS
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
+from components.data.sources.world import WorldSpec
 from components.models import MODELS
 from flows.command_line import make_executor
 from flows.configuration.defaults import ALGORITHM_CONFIGS
@@ -50,8 +51,13 @@ def test_the_registries_say_which_algorithms_and_models_there_are(paper: Setting
     assert load_settings(["algorithms=all"]).algorithms == tuple(sorted(ALGORITHMS))
 
 
-def test_every_file_is_a_dataset_and_all_are_chosen(paper: Settings) -> None:
-    assert list(paper.datasets) == sorted(paper.dataset) == names_in(CONF / "dataset")
+def test_every_file_is_a_dataset_and_the_benchmark_is_all_but_the_sanity_check(
+    paper: Settings,
+) -> None:
+    files = names_in(CONF / "dataset")
+    assert list(paper.datasets) == sorted(paper.dataset) == sorted(THESIS_DATASETS)
+    assert sorted({*paper.datasets, "world"}) == files
+    assert load_settings(["datasets=[world]"]).dataset["world"] == WorldSpec("world")
 
 
 def test_nineteen_datasets_are_those_of_the_thesis(paper: Settings) -> None:

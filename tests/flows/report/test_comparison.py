@@ -38,6 +38,13 @@ def test_reduced_budgets_have_a_footnote_that_names_them() -> None:
     assert {"lion 70 of 1,000 updates", "lion 0.001 of 0.0003 learning_rate"} <= changed
 
 
+def test_an_option_that_was_taken_differs_from_the_thesis() -> None:
+    words = ("profile=paper", "datasets=[bad-0.4]", "algorithms=[lion]")
+    found = compare(cells(*words, "algorithm.lion.return_scale=50"))
+    [difference] = found.differences["bad-0.4", "lion"]
+    assert (difference.setting, difference.here, difference.thesis) == ("return_scale", 50.0, None)
+
+
 @pytest.mark.parametrize("word", ["evaluation.horizon=20", "data.steps=500", "data.seed=1"])
 def test_other_episodes_are_not_comparable_and_other_logs_only_differ(word: str) -> None:
     found = compare(cells("profile=paper", *ONE, word))

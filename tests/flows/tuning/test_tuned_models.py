@@ -19,6 +19,8 @@ from flows.configuration.settings import ALIASES, Settings, SettingsError, load_
 from flows.pipeline.json_lines import read_lines
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
+from flows.pipeline.tracking.mlflow_views import saved_views
 from flows.planning.benchmark import benchmark_plan, model_choice
 from flows.planning.studies import study_specifications
 from flows.tuning.file_trials import FileTrials
@@ -106,6 +108,40 @@ def test_the_first_trial_is_what_a_benchmark_without_tuning_fits(home: Path) -> 
     default = fits(settings_of(home, "models=default"))
     for model, study in studies_of(home).items():
         assert study.start_trial().user_attrs["key"] == default[model].key
+
+
+def test_studies_say_what_they_are_in_the_dashboard_and_have_a_view_in_mlflow(home: Path) -> None:
+    pages = MlflowExperiment(home / "mlruns")
+    parent = next(pages.search("tags.role = 'sweep' and tags.kind = 'search'"))
+    views = saved_views(pages.entity().tags)
+    for model, study in studies_of(home).items():
+        assert study._study.metric_names == ["held-out loss"]
+        # Where optuna-dashboard 0.21 looks.
+        note = study._study._storage.get_study_system_attrs(study._study._study_id)
+        text = note["dashboard:note_str:0"]
+        assert (len(text) <= 2045, note["dashboard:note_ver"]) == (True, 1)
+        assert f"the model **{model}** on the dataset **mediocre-0.2**" in text
+        assert f"#/experiments/{pages.id}/runs/{parent.info.run_id}?" in text
+        assert f"Trials of {model} on mediocre-0.2" in views.values()
+        for run in pages.search(f"tags.study = '{study.name}'"):
+            trial = study.trials()[int(run.data.tags["trial"])]
+            history = pages.client.get_metric_history(
+                run.info.run_id, "model/validation_loss_on_the_way"
+            )
+            assert {m.step: m.value for m in history} == trial.intermediate_values
+
+
+@pytest.mark.slow(2)
+def test_a_larger_search_says_how_far_it_is(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(home, tmp_path / "copy")
+    words = [*words_of(tmp_path / "copy"), "models=[behaviour_policy]", f"trials={TRIALS + 1}"]
+    assert door(tune_models, words, tune_models.ALIASES) == 0
+    said = capsys.readouterr().err
+    assert (
+        f"mediocre-0.2 behaviour_policy: continuing: {TRIALS} of {TRIALS + 1} trials done" in said
+    )
 
 
 @pytest.mark.slow(2)
@@ -370,7 +406,12 @@ def test_pruned_failed_and_reused_trials_are_runs_too(
     states = {number: run.data.tags["state"] for number, run in by_number.items()}
     assert states[0] == "INTERRUPTED"
     assert sorted(states.values()) == ["COMPLETE"] * 5 + ["FAIL", "INTERRUPTED", "PRUNED"]
-    status = {"COMPLETE": "FINISHED", "FAIL": "FAILED", "PRUNED": "KILLED", "INTERRUPTED": "KILLED"}
+    status = {
+        "COMPLETE": "FINISHED",
+        "FAIL": "FAILED",
+        "PRUNED": "FINISHED",
+        "INTERRUPTED": "KILLED",
+    }
     roles: dict[str, list[str]] = {}
     for number, run in by_number.items():
         tags = run.data.tags

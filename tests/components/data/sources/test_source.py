@@ -13,11 +13,17 @@ from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.robots import RobotSpec
 from components.data.sources.source import DatasetSource, generate, source_kind
 from components.data.sources.stored_log import StoredLog
+from components.data.sources.world import WorldSpec
 
 
 @pytest.mark.parametrize(
     "source",
-    [IndustrialSpec("bad-0.2", "bad", 0.2), RobotSpec("hopper", "hopper"), StoredLog("mine", "")],
+    [
+        IndustrialSpec("bad-0.2", "bad", 0.2),
+        RobotSpec("hopper", "hopper"),
+        StoredLog("mine", ""),
+        WorldSpec("world"),
+    ],
 )
 def test_every_source_is_known_by_its_fields_alone(source: DatasetSource) -> None:
     assert source_kind(source.identity)(**source.identity) == source

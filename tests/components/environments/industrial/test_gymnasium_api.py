@@ -172,5 +172,5 @@ def test_step_before_reset_is_refused() -> None:
     single = gym.make(INDUSTRIAL_BENCHMARK_ID).unwrapped
     with pytest.raises(ValueError, match="before reset"):
         single.step(np.zeros(3))
-    with pytest.raises(ValueError, match="reset all machines first"):
+    with pytest.raises(ValueError, match="reset all copies first"):
         make_vec(1).step(np.zeros((1, 3)))

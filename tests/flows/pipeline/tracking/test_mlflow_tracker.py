@@ -48,6 +48,9 @@ def test_sweep_and_nodes_are_recorded(home: Path) -> None:
         f.path for f in tracker.experiment.client.list_artifacts(parent.info.run_id, "report")
     ] == ["report/results.csv"]
 
+    # Named once, although two nodes have read it.
+    assert [read.dataset.name for read in parent.inputs.dataset_inputs] == ["toy"]
+
     by_name = {run.info.run_name: run for run in runs(tracker, "node")}
     assert set(by_name) == {"source", "last"}
     last, key = by_name["last"], small(home)[0].key

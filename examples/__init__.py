@@ -1,0 +1,1 @@
+"""Worked examples: plants that are not part of the benchmark, from their log to their control."""

@@ -1,0 +1,86 @@
+"""A study of the thesis from stored runs: ``python -m flows.study world``."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flows.command_line import COMMON_HELP, Metrics, run_door, run_sweep, show_or_do
+from flows.configuration.checking import hint
+from flows.configuration.settings import Settings, SettingsError, load_settings
+from flows.pipeline.runner import Outcome
+from flows.pipeline.store import ArtifactStore
+from flows.planning.benchmark import benchmark_plan, sweep_name
+from flows.report.report import write_report
+from flows.studies import STUDIES
+from flows.studies.study import Study
+
+_LISTED = "\n".join(
+    f"  {study.name:<32}{study.about}\n{'':34}by default {' '.join(study.defaults)}"
+    for study in STUDIES.values()
+)
+HELP = f"""\
+usage: python -m flows.study NAME [KEY=VALUE ...]
+
+Answer a question of the thesis: run what the study needs and the store lacks, then write its
+figures and its table beside the thesis's numbers. Everything finished is kept under mlruns/ and
+reused. To continue a study that was stopped, give the same command again.
+
+{_LISTED}
+
+  profile=smoke|quick|paper       budgets; paper is the default
+  seeds=[0,1]                     whole numbers
+  algorithm.NAME.KEY=VALUE        a setting of an algorithm, e.g. algorithm.lion.updates=200
+  model.NAME.KEY=VALUE            a setting of a model, e.g. model.behaviour_policy.epochs=20
+{COMMON_HELP}"""
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """A study and the settings of its runs."""
+
+    study: Study
+    settings: Settings
+
+
+def _load(words: Sequence[str]) -> _Chosen:
+    """What a command line asks for.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    known = ", ".join(STUDIES)
+    if not words or "=" in words[0]:
+        raise SettingsError(f"name a study first, e.g. {next(iter(STUDIES))}; there are {known}.")
+    name, *given = words
+    if name not in STUDIES:
+        raise SettingsError(f"Unknown study {name!r}; there are {known}.{hint(name, STUDIES)}")
+    study = STUDIES[name]
+    return _Chosen(study, load_settings(study.words(given)))
+
+
+def _run(chosen: _Chosen) -> int:
+    return show_or_do(chosen.settings, lambda settings: _study(chosen.study, settings))
+
+
+def _study(study: Study, settings: Settings) -> int:
+    plan = benchmark_plan(settings)
+    name = settings.sweep or f"{study.name}-{sweep_name(settings, plan)}"
+    folder = settings.store / "reports" / name
+
+    def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
+        store = ArtifactStore(settings.store)
+        written = write_report(folder, plan, store, f"study {study.name}")
+        for note in written.notes:
+            print(f"Note: {note}")
+        if not all(store.complete(node.key) for node in plan):
+            return written.files, written.headline
+        drawn = study.draw(plan, store, folder)
+        print(f"{drawn.text}\nFigures and tables: {folder}/")
+        print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
+        return [*written.files, *drawn.files], written.headline
+
+    return run_sweep(settings, name, plan, report)
+
+
+if __name__ == "__main__":
+    run_door("study", HELP, _load, _run)
