@@ -5,8 +5,8 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 from rich.console import Console
@@ -14,18 +14,20 @@ from rich.markup import escape
 
 from flows.configuration.settings import ALIASES, Settings, SettingsError, load_settings
 from flows.configuration.shown import settings_yaml
+from flows.door import run_door
 from flows.pipeline.audit import audit
-from flows.pipeline.errors import PipelineError
+from flows.pipeline.driver import driving
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.processors import available_cpus, check_threads
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.leftovers import store_in_use
+from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.schedule import form_groups
-from flows.pipeline.signals import ending_signals, exit_code, ignored_signals
+from flows.pipeline.signals import ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.board import Board
@@ -33,7 +35,7 @@ from flows.pipeline.tracking.board_tracker import BoardTracker
 from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
-from flows.planning.memory import check_capacity, total_memory
+from flows.planning.memory import check_capacity, needs, total_memory
 
 __all__ = [
     "COMMON_HELP",
@@ -55,6 +57,8 @@ COMMON_HELP = """\
   show_settings=true              print every setting as YAML and stop
   yes=true                        also start what is estimated to take longer than a year
   sweep=NAME                      name of the sweep in the tracker and in STORE/reports
+  max_hours=8                     stop cleanly after so many hours; the same command goes on
+  until=07:00                     likewise at this time of day
   store=mlruns                    folder of everything that is kept
   runner.executor=ray             or serial: everything in this process, for debugging
   runner.tracker=mlflow           or file: JSON lines in STORE/tracking; or none
@@ -72,7 +76,6 @@ those below `dataset`, which stand in conf/dataset.
 
 _YEAR = 365 * 24 * 3600.0  # seconds; nobody waits so long by intention
 
-Loaded = TypeVar("Loaded")
 ReportWriter = Callable[[Outcome], tuple[Sequence[Path], Metrics]]
 
 
@@ -108,41 +111,6 @@ def show_or_do(settings: Settings, body: Callable[[Settings], int]) -> int:
         return 0
     check_store(settings.store)
     return body(settings)
-
-
-def run_door(
-    door: str,
-    help_text: str,
-    load: Callable[[Sequence[str]], Loaded],
-    body: Callable[[Loaded], int],
-) -> None:
-    """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
-
-    SIGTERM and SIGHUP end it as Ctrl-C does, with 143 and 129.
-
-    Args:
-        door: Its name.
-        help_text: Its help.
-        load: Makes settings of the words of the command line.
-        body: Its work.
-    """
-    arguments = sys.argv[1:]
-    if any(word in ("-h", "--help", "help") for word in arguments):
-        print(help_text)
-        sys.exit(0)
-    try:
-        with ending_signals():
-            code = body(load(arguments))
-    except SettingsError as error:
-        print(f"{door}: {error}", file=sys.stderr)
-        code = 2
-    except (PipelineError, OSError, ValueError) as error:
-        print(f"{door}: {error}", file=sys.stderr)
-        code = 1
-    except KeyboardInterrupt:
-        print(f"{door}: interrupted; give the same command again to continue.", file=sys.stderr)
-        code = exit_code()
-    sys.exit(code)
 
 
 def make_executor(settings: Settings) -> Executor:
@@ -193,6 +161,7 @@ def run_sweep(
     plan: Plan,
     report: ReportWriter,
     params: Mapping[str, str] | None = None,
+    about: str = "",
     board: Board | None = None,
 ) -> int:
     """Show the plan, run what is not finished, record and report it.
@@ -204,6 +173,7 @@ def run_sweep(
         report: Called at the end, also of a partial sweep; returns the files and metrics to keep
             with the sweep.
         params: What the sweep is over; datasets, algorithms and seeds by default.
+        about: What the plan is, in a sentence; shown before it.
         board: Says the rows of the leaderboard; None for a sweep without results.
 
     Returns:
@@ -212,11 +182,14 @@ def run_sweep(
     Raises:
         SettingsError: This computer cannot do it, or it takes longer than a year.
     """
+    limit = Limit(settings.runner.max_hours, settings.runner.until)
     store = ArtifactStore(settings.store, create=not settings.dry_run)
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
     display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
+    for sentence in filter(None, (about, limit.sentence)):
+        display.note(sentence)
     repairs = settings.runner.repair == "recompute"
     found = audit(plan, store)
     if not repairs:
@@ -224,7 +197,10 @@ def run_sweep(
     seconds = display.show_plan(plan, store, executor.slots, found, executor.device)
     pending = form_groups(plan, (n.key for n in plan if n.key not in found.finished), store)
     if not os.environ.get("RAY_ADDRESS"):  # a cluster's computers may be larger
-        check_capacity(pending, total_memory(executor.device), settings.store)
+        memory = total_memory(executor.device)
+        check_capacity(pending, memory, settings.store)
+        if pending:
+            display.note(needs(pending, memory, settings.store))
     if seconds > _YEAR and not settings.yes:
         raise SettingsError(
             f"This is estimated to take {duration(seconds)}; choose less, or add yes=true."
@@ -252,13 +228,22 @@ def run_sweep(
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}
-    with store_in_use(store):
+    with store_in_use(store), ExitStack() as told:
         try:
             tracker.open(name, tags, params, plan)
-            SweepRecord(name, command, {node.key: node.name for node in plan}).save(store.root)
+            driver = told.enter_context(driving(store, name, command, limit.reached, str(limit)))
+            SweepRecord.of(name, command, plan).save(store.root)
             outcome = run_plan(
-                plan, store, tracker, display, executor=executor, command=command, repairs=repairs
+                plan,
+                store,
+                tracker,
+                display,
+                executor=executor,
+                command=command,
+                repairs=repairs,
+                driver=driver,
             )
+            driver.status = outcome.status
             if outcome.may_take_time:
                 files, metrics = report(outcome)
             status = outcome.status

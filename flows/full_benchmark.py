@@ -9,6 +9,7 @@ from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
+from flows.planning.cells import cells_line
 from flows.report.leaderboard import Leaderboard
 from flows.report.report import write_report
 
@@ -67,7 +68,8 @@ def _run(settings: Settings) -> int:
             print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
         return written.files, written.headline
 
-    return run_sweep(settings, name, plan, report, board=board)
+    about = cells_line(settings, plan)
+    return run_sweep(settings, name, plan, report, about=about, board=board)
 
 
 if __name__ == "__main__":

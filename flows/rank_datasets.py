@@ -23,7 +23,7 @@ from components.reporting.ranking import (
 )
 from components.reporting.ranking_figures import clip_figure, ranking_figure
 from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
-from flows.configuration.settings import Settings, SettingsError
+from flows.configuration.settings import RUNNER_ALIASES, Settings, SettingsError
 from flows.pipeline.plan import Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
@@ -53,13 +53,12 @@ stand beside it.
   ranking.stochasticity.KEY=VALUE updates, batch, hidden, learning_rate of its fit
 {COMMON_HELP}"""
 
-ALIASES = {
+ALIASES = RUNNER_ALIASES | {
     "floor": "ranking.floor",
     "report": "ranking.report",
     "algorithm": "ranking.algorithm",
     "clip": "ranking.stochasticity.clip",
     "clips": "ranking.stochasticity.clips",
-    "repair": "runner.repair",
 }
 _SHOWN = {
     "dataset": "dataset",

@@ -10,7 +10,7 @@ from pathlib import Path
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS
 from flows.command_line import COMMON_HELP, Metrics, main, run_sweep
-from flows.configuration.settings import Settings
+from flows.configuration.settings import RUNNER_ALIASES, Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import sweep_name
@@ -33,13 +33,12 @@ robot together, for hours. To continue a training that was stopped, give the sam
   experts.training.KEY=VALUE      a setting of the training, e.g. experts.training.exploration=0.2
 {COMMON_HELP}"""
 
-ALIASES = {
+ALIASES = RUNNER_ALIASES | {
     "robots": "experts.robots",
     "seeds": "experts.seeds",
     "physics": "experts.physics",
     "install": "experts.install",
     "steps": "experts.training.steps",
-    "repair": "runner.repair",
 }
 
 

@@ -5,15 +5,16 @@ first; the search itself, :mod:`flows.tuning`, imports no environment.
 """
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from optuna.storages import JournalStorage
 
 from flows.command_line import COMMON_HELP, command_words, main, make_executor, run_sweep
-from flows.configuration.settings import Settings, SettingsError
+from flows.configuration.settings import RUNNER_ALIASES, Settings, SettingsError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.leftovers import store_in_use
+from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
 from flows.pipeline.signals import ignored_signals
@@ -53,7 +54,7 @@ Look at the trials:    pip install -e '.[dashboard]'; optuna-dashboard mlruns/op
   models.folder=conf/tuned        where the best settings are written, as DATASET/MODEL.yaml
 {COMMON_HELP}"""
 
-ALIASES = {"models": "tuning.models", "trials": "tuning.trials", "repair": "runner.repair"}
+ALIASES = RUNNER_ALIASES | {"models": "tuning.models", "trials": "tuning.trials"}
 
 
 def _generate(settings: Settings, plan: Plan, store: ArtifactStore) -> int:
@@ -84,6 +85,7 @@ def make_trials(settings: Settings) -> Trials:
 
 
 def _run(settings: Settings) -> int:
+    limit = Limit(settings.runner.max_hours, settings.runner.until)
     found = study_specifications(settings)
     for specification in found:
         check_model(settings, specification.dataset, specification.start)
@@ -99,7 +101,7 @@ def _run(settings: Settings) -> int:
     if code:
         return code
     with store_in_use(store):
-        return _search(settings, found, journal, store, executor)
+        return _search(settings, found, journal, store, executor, limit.reached)
 
 
 def _search(
@@ -108,6 +110,7 @@ def _search(
     journal: JournalStorage,
     store: ArtifactStore,
     executor: Executor,
+    limit: Callable[[], str],
 ) -> int:
     console = Display()
     name = settings.sweep or f"tune-{digest([specification.name for specification in found], 4)}"
@@ -161,6 +164,7 @@ def _search(
             console.note,
             finished,
             record,
+            limit,
         )
         status = outcome.status
     except KeyboardInterrupt:

@@ -22,6 +22,9 @@ ROOT = Path(__file__).parents[1]
 TOGETHER = {
     "tests/flows/pipeline/executors/test_ray.py": "ray",
     "tests/flows/tuning/test_ray.py": "ray",
+    "tests/flows/status/test_toy_sweep.py": "ray",
+    "tests/flows/status/test_status_of_a_benchmark.py": "ray",
+    "tests/flows/planning/test_cells.py": "ray",
     "tests/flows/test_corruption.py": "ray",
     "tests/flows/test_full_benchmark.py": "ray",
     "tests/flows/test_mlflow_pages.py": "ray",  # they share the smoke run

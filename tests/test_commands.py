@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 
 from components.data.imports import report
 from flows import command_line
+from flows import door as flows_door
 from flows.configuration import composition, files, schema
 from flows.import_log import import_log, load_import_settings
 from tests.conftest import ROOT
@@ -108,6 +109,7 @@ def stop_after_parsing(patch: pytest.MonkeyPatch) -> None:
         sys.exit(0)
 
     patch.setattr(command_line, "run_door", door)
+    patch.setattr(flows_door, "run_door", door)
     patch.setattr(argparse.ArgumentParser, "parse_args", parse_and_stop)
 
 

@@ -18,13 +18,19 @@ from flows.configuration.renamed import RENAMED, rename_old_keys
 
 __all__ = [
     "ALIASES",
+    "RUNNER_ALIASES",
     "check_keys",
     "parse_overrides",
     "split_overrides",
     "split_word",
 ]
 
-ALIASES: Mapping[str, str] = {"models": "models.source", "repair": "runner.repair"}
+RUNNER_ALIASES: Mapping[str, str] = {
+    name: f"runner.{name}" for name in ("repair", "max_hours", "until")
+}
+"""Those of every door that runs a sweep."""
+
+ALIASES: Mapping[str, str] = {"models": "models.source", **RUNNER_ALIASES}
 """Short keys of the command line and the full keys they stand for; a door may have others."""
 
 KindOf = Callable[[str], Any]

@@ -1,5 +1,6 @@
 """The groups of the settings: their keys, types and ranges."""
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -78,6 +79,12 @@ def _together(stack: Any) -> Any:
     return stack
 
 
+def _time_of_day(time: Any) -> Any:
+    if time is not None and not re.fullmatch(r"([01]?\d|2[0-3]):[0-5]\d", str(time), re.ASCII):
+        raise SettingsError(f"until={time} is no time of day; write hours:minutes, e.g. 07:00.")
+    return time
+
+
 Seeds = Annotated[tuple[int, ...], BeforeValidator(_different_seeds)]
 
 AlgorithmConfigs = TypedDict("AlgorithmConfigs", ALGORITHM_CONFIGS)  # type: ignore[misc]
@@ -151,6 +158,8 @@ class RunnerSettings(StrictModel):
     precision: Literal["highest", "high", "medium"]
     stack: Annotated[Literal["pair", "algorithm"] | int, BeforeValidator(_together)]
     repair: Literal["recompute", "refuse"]
+    max_hours: float | None = Field(gt=0)
+    until: Annotated[str | None, BeforeValidator(_time_of_day)]
 
 
 class ModelsSettings(StrictModel):

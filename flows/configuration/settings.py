@@ -6,10 +6,16 @@ from typing import Any
 from flows.configuration.checking import SettingsError
 from flows.configuration.field_types import type_at
 from flows.configuration.given import settings_of, whole_layers
-from flows.configuration.overrides import ALIASES, check_keys, parse_overrides, split_overrides
+from flows.configuration.overrides import (
+    ALIASES,
+    RUNNER_ALIASES,
+    check_keys,
+    parse_overrides,
+    split_overrides,
+)
 from flows.configuration.schema import Settings
 
-__all__ = ["ALIASES", "Settings", "SettingsError", "load_settings"]
+__all__ = ["ALIASES", "RUNNER_ALIASES", "Settings", "SettingsError", "load_settings"]
 
 
 def load_settings(overrides: Sequence[str], aliases: Mapping[str, str] = ALIASES) -> Settings:

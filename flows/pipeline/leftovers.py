@@ -55,7 +55,7 @@ def store_alone(store: ArtifactStore) -> Iterator[tuple[bool, int]]:
 def _remove_leftovers(store: ArtifactStore) -> None:
     for file in _files(store.root / "progress"):
         _remove(file)
-    for folder in ("minari", "optuna", "reports", "tracking", "work"):
+    for folder in ("drivers", "minari", "optuna", "reports", "sweeps", "tracking", "work"):
         for file in _files(store.root / folder):
             if _HALF_WRITTEN.fullmatch(file.name):
                 _remove(file)

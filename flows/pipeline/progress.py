@@ -74,7 +74,7 @@ class Display:
         found = found or audit(plan, store)
         done = found.finished
         pending = [node.key for node in plan if node.key not in done]
-        groups = form_groups(plan, pending, store)
+        groups = form_groups(plan, pending, store, slots)
         run_state = RunState(plan, groups, store, slots, done, device)
         table = Table(box=None, pad_edge=False)
         table.add_column("component")

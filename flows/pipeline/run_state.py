@@ -138,8 +138,11 @@ class RunState:
 
     def ended(self, name: str, result: GroupResult) -> None:
         """Notes the result of a group."""
+        call = self._running.pop(name, None)
+        if result.stopped:
+            self._reached[name] = call.fraction if call else 0.0
+            return
         group = self._left.pop(name)
-        self._running.pop(name, None)
         self._reached.pop(name, None)
         self._finished[group.component] += len(result.finished)
         self._failed[group.component] += len(result.failed)

@@ -5,9 +5,12 @@ else, such as the tracker's record, follows from that and is completed at the ne
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 from flows.pipeline.audit import Audit, audit
+from flows.pipeline.driver import Driver
 from flows.pipeline.executors.executor import Executor
+from flows.pipeline.failures import REPAIR_REMEDY
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -16,9 +19,10 @@ from flows.pipeline.repair import Repairs
 from flows.pipeline.run_state import RunState
 from flows.pipeline.schedule import Group, form_groups
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
+from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
-from flows.pipeline.worker import REPAIR_REMEDY, GroupCall, GroupResult
+from flows.pipeline.worker import GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
 
@@ -34,6 +38,7 @@ def run_plan(
     executor: Executor,
     command: str = "the same command",
     repairs: bool = True,
+    driver: Driver | None = None,
 ) -> Outcome:
     """Computes everything in the plan that is not finished yet.
 
@@ -45,6 +50,7 @@ def run_plan(
         executor: Computes groups of nodes.
         command: How to continue after an interrupt, for the message.
         repairs: Whether what is damaged on the disk is made again, with all that depends on it.
+        driver: Tells others how the run goes, and knows when it is to stop.
 
     Returns:
         How every node ended. Nothing is raised for failed nodes.
@@ -53,31 +59,27 @@ def run_plan(
         PipelineError: the sweep could not start at all; StoreError if something is damaged and
             `repairs` is False.
     """
-    return _Run(plan, store, tracker, display, executor, command, repairs).run()
+    return _Run(plan, store, tracker, display, executor, command, repairs, driver).run()
 
 
+@dataclass
 class _Run:
     """A plan is gone over once, and again if something finished turns out to be damaged.
 
     Nothing is set aside while groups run: they may be reading it.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        store: ArtifactStore,
-        tracker: Tracker,
-        display: Display,
-        executor: Executor,
-        command: str,
-        repairs: bool,
-    ) -> None:
-        self.plan = plan
-        self.store = store
-        self.display = display
-        self.executor = executor
-        self.command = command
-        self.repairs = repairs
+    plan: Plan
+    store: ArtifactStore
+    tracker: Tracker
+    display: Display
+    executor: Executor
+    command: str
+    repairs: bool
+    driver: Driver | None
+
+    def __post_init__(self) -> None:
+        self.stop = Stop(self.store, self.driver, self.display.note)
         self.outcome = Outcome()
         self.waiting: dict[str, Group] = {}
         self.running: dict[str, Group] = {}
@@ -85,8 +87,8 @@ class _Run:
         self.suspects: dict[str, str] = {}  # why a finished node could not be read, by key
         self.postponed: set[str] = set()  # keys that wait for another pass
         self.new: set[str] = set()  # keys finished since the last look at the store
-        self.repair = Repairs(store, display.note)
-        self.recorder = Recorder(tracker, store, display.note)
+        self.repair = Repairs(self.store, self.display.note)
+        self.recorder = Recorder(self.tracker, self.store, self.display.note)
 
     def run(self) -> Outcome:
         for sentence in self.store.repair():
@@ -98,7 +100,7 @@ class _Run:
             found.refuse()
         self.outcome.reused = [node.key for node in self.plan if node.key in found.finished]
         pending = [node.key for node in self.plan if node.key not in found.finished]
-        groups = form_groups(self.plan, pending, self.store)
+        groups = form_groups(self.plan, pending, self.store, self.executor.slots)
         self.run_state = RunState(
             self.plan,
             groups,
@@ -115,38 +117,41 @@ class _Run:
             self._finish_pass()
             while self._begin_another_pass() or self._retry_tracker():
                 self._finish_pass()
+            if self.stop.why:
+                self.outcome.end_stop(self.stop.why, self.plan)
         except KeyboardInterrupt:
             self.outcome.interrupted = exit_code()
         finally:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
+                self._look(last=True)
+                self.stop.forget(self.running)
                 self.display.stop(self.run_state)
         self.outcome.unrecorded = self.recorder.refusal
-        if self.recorder.waiting:
-            self.display.note(
-                f"{len(self.recorder.waiting)} nodes are not in the tracker yet, but safe on disk. "
-                f"Record them with: {self.command}"
-            )
-        if self.outcome.interrupted:
-            self.display.note(
-                f"Interrupted; nothing finished is lost. Continue with: {self.command}"
-            )
+        for sentence in self.outcome.sentences(self.command, len(self.recorder.waiting)):
+            self.display.note(sentence)
         return self.outcome
 
     def _begin(self, groups: list[Group]) -> None:
         self.waiting = {group.name: group for group in groups}
         if groups and not self.started:
-            self.executor.start(self.display.note)
+            self.executor.start(self.display.note, self._look)
             self.run_state.slots = self.executor.slots
             self.started = True
         self._submit()
 
     def _finish_pass(self) -> None:
-        while self.running:
+        while self.running and not self.stop.over:
             self._step()
+
+    def _look(self, *, last: bool = False) -> None:
+        """Tells others how the run goes, and asks what runs to end if it is to stop."""
+        self.stop.look(self.outcome, self.running, self.executor, last=last)
 
     def _begin_another_pass(self) -> bool:
         """Makes again what was found damaged, and what was made from another input."""
+        if self.stop.why:
+            return False  # the next start finds what is damaged
         done = {*self.outcome.reused, *self.outcome.finished} - self.new
         doubtful = any(n.key in done for key in self.new for n in self.plan.dependents(key))
         if not (self.suspects or self.postponed or doubtful):
@@ -164,7 +169,7 @@ class _Run:
         if not pending:
             return False
         self._forget(pending)
-        groups = form_groups(self.plan, pending, self.store)
+        groups = form_groups(self.plan, pending, self.store, self.executor.slots)
         self.run_state.again(groups)
         self._begin(groups)
         return True
@@ -196,6 +201,7 @@ class _Run:
             self.display.note(self.outcome.damaged[key])
 
     def _step(self) -> None:
+        self._look()
         results = self.executor.wait(_TICK)
         records: list[tuple[Node, str | None]] = []
         for result in results:
@@ -209,12 +215,14 @@ class _Run:
         self.display.update(self.run_state)
 
     def _submit(self) -> None:
+        if self.stop.why:
+            return
         # One more than can run, so that no worker idles while the tracker is being written.
         room = self.executor.slots + 1 - len(self.running)
         settled = self.waiting.keys() | self.running.keys()
         ready = sorted(
             (group for group in self.waiting.values() if not group.needs & settled),
-            key=lambda group: (-group.priority, group.name),
+            key=lambda group: group.order,
         )
         for group in ready[: max(0, room)]:
             del self.waiting[group.name]
@@ -246,13 +254,16 @@ class _Run:
         for key in [key for key in result.finished if not self.store.complete(key)]:
             why[key] = f"{self.store.path(key)} was damaged when it had just been made"
             result.finished.remove(key)
-        left = [key for key in group.keys if key not in {*result.finished, *result.failed}]
+        ended = {*result.finished, *result.failed, *result.stopped}
+        left = [key for key in group.keys if key not in ended]
         if why and self.repairs:
             self.suspects |= why
             self._postpone(left)
         else:
             reason = f"{'; '.join(why.values()) or 'The worker gave no reason'}; {REPAIR_REMEDY}."
             result.failed |= dict.fromkeys(left, reason)
+        if result.stopped and not self.stop.why:
+            self.waiting[group.name] = group  # another driver's stop: both compute this group
         self.run_state.ended(group.name, result)
         self.outcome.finished += result.finished
         self.new |= set(result.finished)

@@ -4,6 +4,8 @@ ROOT/nodes/KEY/     a finished artifact, see `artifacts`
 ROOT/work/GROUP/    checkpoints and half-made outputs of unfinished ones, see `work`
 ROOT/damaged/KEY/   what was set aside because it was not what was written
 ROOT/progress/      progress reports of running calls, and requests to stop them
+ROOT/sweeps/        the plan of every sweep, see `sweep_records`
+ROOT/drivers/       what drives them or did so last, see `driver`
 ROOT/locks/         one lock per node that is being computed
 """
 
@@ -68,12 +70,17 @@ class ArtifactStore(WorkFolders):
         """The file that asks a running call to stop, once it exists."""
         return self._progress / f"{group}.stop"
 
+    def pause_file(self, group: str) -> Path:
+        """The file that asks a running call to end at its next checkpoint, once it exists."""
+        return self._progress / f"{group}.pause"
+
     def clear_progress(self, group: str) -> None:
-        """Removes a call's report and stop request, also a half-written report of a killed call."""
+        """Removes a call's report and requests, also a half-written report of a killed call."""
         for half in self._progress.glob(f".{group}.json-*"):
             half.unlink(missing_ok=True)
         self.progress_file(group).unlink(missing_ok=True)
         self.stop_file(group).unlink(missing_ok=True)
+        self.pause_file(group).unlink(missing_ok=True)
 
     def losses(self, group: str) -> list[tuple[float, float]]:
         """Held-out losses that a call has reported, each after its fraction of the budget; NaN for

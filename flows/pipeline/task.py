@@ -16,8 +16,9 @@ lanes only.
 
 import importlib
 import os
+import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -29,6 +30,7 @@ __all__ = [
     "REACHED_FILE",
     "READ",
     "Job",
+    "PauseRequested",
     "StopRequested",
     "TaskContext",
     "TaskFunction",
@@ -44,6 +46,10 @@ READ = ("metrics.json", "curves.npz", "params.json", "tags.json", "datasets.json
 
 class StopRequested(Exception):  # noqa: N818 - a stop on request, no error
     """Ends a task call that the driver wants stopped; its nodes neither finish nor fail."""
+
+
+class PauseRequested(Exception):  # noqa: N818 - likewise
+    """Ends a task call at a checkpoint; another call will continue from there."""
 
 
 @dataclass
@@ -85,7 +91,8 @@ class TaskContext:
         threads: Threads this call may use.
         progress_file: Takes the fraction done and held-out losses; None for no file.
         stop_file: Once this file exists, the next validation ends the call; None for never.
-        watch: Called at every validation, by executors that compute in the driver's own process.
+        pause_file: Once this file exists, the next checkpoint ends the call; None for never.
+        watch: Called at every report, by executors that compute in the driver's own process.
         interval: Seconds between two writes of the fraction.
     """
 
@@ -95,12 +102,14 @@ class TaskContext:
     threads: int = 1
     progress_file: Path | None = None
     stop_file: Path | None = None
+    pause_file: Path | None = None
     watch: Callable[[], None] = lambda: None
     interval: float = 0.5
     _written: float = field(default=float("-inf"), repr=False)
     _fraction: float = field(default=0.0, repr=False)
     _losses: list[tuple[float, float]] = field(default_factory=list, repr=False)
     _saved: int = field(default=0, repr=False)
+    _begun: Mapping[str, Any] = field(default_factory=dict, repr=False)
     _first: tuple[float, float] | None = field(default=None, repr=False)
     _last: tuple[float, float] = field(default=(0.0, 0.0), repr=False)
 
@@ -118,8 +127,11 @@ class TaskContext:
     def begin(self) -> None:
         """Reports the fraction at which the call starts: more than 0 from a checkpoint."""
         self._saved = self._newest_checkpoint()
-        reached = read_json(self.work / REACHED_FILE)
-        self.progress(reached if isinstance(reached, float) else 0.0)
+        value = read_json(self.work / REACHED_FILE)
+        reached = value if isinstance(value, float) else 0.0
+        place = {"host": socket.gethostname(), "pid": os.getpid()}
+        self._begun = place | {"began": time.time(), "began_at": reached}
+        self.progress(reached)
         self._first = None
 
     def progress(self, fraction: float) -> None:
@@ -127,12 +139,19 @@ class TaskContext:
 
         Args:
             fraction: Between 0 and 1, over all jobs of the call.
+
+        Raises:
+            PauseRequested: The pause file is there, and a new checkpoint.
         """
         former = self._fraction
         self._reach(fraction)
         if time.monotonic() - self._written >= self.interval:
-            self._note_checkpoint(former)
+            saved = self._note_checkpoint(former)
             self._write()
+            self.watch()
+            asked = self.pause_file is not None and self.pause_file.exists()
+            if asked and saved and self._fraction < 1.0:
+                raise PauseRequested(f"paused at {self._fraction:.0%} of the budget")
 
     def validated(self, fraction: float, loss: float) -> None:
         """Reports an intermediate held-out loss, and ends the call if the driver wants it stopped.
@@ -158,17 +177,22 @@ class TaskContext:
         if self._fraction > former:
             self._last = now, self._fraction
 
-    def _note_checkpoint(self, reached: float) -> None:
+    def _note_checkpoint(self, reached: float) -> bool:
         """Notes how far a new checkpoint is, for whoever continues from it after a kill.
 
         That is the fraction reported last before the checkpoint was seen.
+
+        Returns:
+            Whether there is a new one.
         """
         if self.progress_file is None:
-            return
+            return False
         newest = self._newest_checkpoint()
-        if newest != self._saved:
-            write_json(self.work / REACHED_FILE, reached)
-            self._saved = newest
+        if newest == self._saved:
+            return False
+        write_json(self.work / REACHED_FILE, reached)
+        self._saved = newest
+        return True
 
     def _newest_checkpoint(self) -> int:
         """When the newest checkpoint was written. Folders are none: snapshots are no states."""
@@ -184,8 +208,8 @@ class TaskContext:
     def _write(self) -> None:
         if self.progress_file is not None:
             self._written = time.monotonic()
-            report = {"fraction": self._fraction, "losses": self._losses}
-            write_json(self.progress_file, without_undefined(report))
+            report = {"fraction": self._fraction, "losses": self._losses, "at": time.time()}
+            write_json(self.progress_file, without_undefined(report | self._begun))
 
 
 TaskFunction = Callable[[Sequence[Job], TaskContext], None]

@@ -4,7 +4,6 @@ import os
 import resource
 import sys
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +14,19 @@ from components.core.sealed import content_digest, seal
 from components.core.version import code_version
 from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
 from flows.pipeline.costs import RULES
+from flows.pipeline.failures import failure_reason
 from flows.pipeline.plan import Node
-from flows.pipeline.store import ArtifactStore, Work, disk_error_message
-from flows.pipeline.task import FAILURE_FILE, Job, StopRequested, TaskContext, load_task
+from flows.pipeline.store import ArtifactStore, Work
+from flows.pipeline.task import (
+    FAILURE_FILE,
+    Job,
+    PauseRequested,
+    StopRequested,
+    TaskContext,
+    load_task,
+)
 
-__all__ = ["REPAIR_REMEDY", "GroupCall", "GroupResult", "run_group"]
-
-REPAIR_REMEDY = "runner.repair=recompute has it made again"
+__all__ = ["GroupCall", "GroupResult", "run_group"]
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class GroupResult:
         group: Name of the group.
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
-        stopped: Keys whose computation the driver has stopped.
+        stopped: Keys whose computation the driver has stopped, for good or at a checkpoint.
         damaged: Why an input could not be read, by its key.
         notes: What people should know, a sentence each.
     """
@@ -113,7 +118,7 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
 
     Args:
         call: The group.
-        watch: Called at every validation, see :class:`flows.pipeline.task.TaskContext`.
+        watch: Called at every report, see :class:`flows.pipeline.task.TaskContext`.
     """
     os.environ["OMP_NUM_THREADS"] = str(call.threads)
     store = ArtifactStore(call.root, create=False)
@@ -126,12 +131,14 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
                 if store.unfinished(work) & set(keys):
                     store.publish_ready(work)
             pending = [node for node in call.nodes if not _is_finished(store, call, node, result)]
-            if pending:
+            if pending and store.pause_file(call.group).exists():
+                result.stopped = [node["key"] for node in pending]
+            elif pending:
                 _compute(store, call, pending, result, watch)
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
-        reason = _reason(error, store)
+        reason = failure_reason(error, store.root)
         result.failed.update({key: reason for key in keys if not store.complete(key)})
     unmade = {*result.failed, *result.stopped}
     result.finished = [key for key in keys if key not in unmade and store.complete(key)]
@@ -216,6 +223,7 @@ def _make(
         threads=call.threads,
         progress_file=store.progress_file(call.group),
         stop_file=store.stop_file(call.group),
+        pause_file=store.pause_file(call.group),
         watch=watch,
     )
     task = load_task(call.task)
@@ -227,6 +235,9 @@ def _make(
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
         task(jobs, context)
+    except PauseRequested:
+        result.stopped = keys
+        return
     except StopRequested:
         result.stopped = keys
         store.discard(work)
@@ -284,17 +295,3 @@ def _describe(
     described |= {"hardware": hardware(usage["device"]), "package": code_version()}
     described |= {"software": software(usage["device"])}
     seal(out, described)
-
-
-def _reason(error: BaseException, store: ArtifactStore) -> str:
-    text = "".join(traceback.format_exception(error)).rstrip()
-    sentence = disk_error_message(error, store.root)
-    if isinstance(error, DamagedFileError):
-        sentence = f"{error.sentence}; {REPAIR_REMEDY}."
-    if sentence is None and (
-        isinstance(error, MemoryError) or "out of memory" in str(error).lower()
-    ):
-        sentence = (
-            "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
-        )
-    return f"{text}\n{sentence}" if sentence else text

@@ -1,8 +1,9 @@
-"""What a computer must have at least: memory of every task call, and disk for the datasets.
+"""What a computer must have at least: memory of every task call, and disk for what is kept.
 
 Lower bounds from the settings alone: less than this is impossible, more may well be needed. Counted
 are the weights of the widest network with gradient and two moments, one batch as it leaves the
-widest layer, the observations of all evaluated trajectories, and the arrays of a generated log.
+widest layer, the observations of all evaluated trajectories, and the arrays of a generated log; on
+the disk these arrays, a policy's weights per snapshot and a model's per member.
 """
 
 import os
@@ -24,7 +25,7 @@ from flows.configuration.settings import SettingsError
 from flows.pipeline.plan import Node
 from flows.pipeline.schedule import Group
 
-__all__ = ["check_capacity", "least_bytes", "total_memory"]
+__all__ = ["check_capacity", "least_bytes", "least_stored", "needs", "total_memory"]
 
 _FLOAT: Final = 4  # bytes
 _COPIES: Final = 4  # of a weight: itself, its gradient, Adam's two moments
@@ -51,8 +52,7 @@ def check_capacity(groups: Iterable[Group], memory: int, store: Path) -> None:
     Raises:
         SettingsError: Names the first call that needs more memory than there is, or the disk.
     """
-    free = shutil.disk_usage(next(p for p in (store, *store.parents) if p.exists())).free
-    logs = 0
+    free, stored = _free(store), 0
     for group in groups:
         needed = least_bytes(group.nodes)
         if needed > memory:
@@ -61,12 +61,34 @@ def check_capacity(groups: Iterable[Group], memory: int, store: Path) -> None:
                 f"({_why(group.nodes)}) and this computer has {_size(memory)}; lower these "
                 "settings."
             )
-        logs += needed if group.component == "data_generation" else 0
-    if logs > free:
+        stored += sum(least_stored(node) for node in group.nodes)
+    if stored > free:
         raise SettingsError(
-            f"The datasets take at least {_size(logs)} and the disk of {store} has "
-            f"{_size(free)} left; free space or make less data."
+            f"What is still to be made takes at least {_size(stored)} and the disk of {store} has "
+            f"{_size(free)} left; free space, make less data or keep fewer snapshots."
         )
+
+
+def needs(groups: Sequence[Group], memory: int, store: Path) -> str:
+    """What the task calls that are still to do need at least, beside what there is, in a sentence.
+
+    Args:
+        groups: These calls.
+        memory: Bytes of memory.
+        store: Where results are kept; it need not exist.
+    """
+    stored = sum(least_stored(node) for group in groups for node in group.nodes)
+    largest = max(groups, key=lambda group: least_bytes(group.nodes))
+    return (
+        f"Disk: at least {_size(stored)} needed, {_size(_free(store))} free. Memory of a task: at "
+        f"least {_size(least_bytes(largest.nodes))} for {largest.nodes[0].name}, the largest, of "
+        f"{_size(memory)}."
+    )
+
+
+def _free(store: Path) -> int:
+    """Bytes that are left on the disk of a folder, which need not exist."""
+    return shutil.disk_usage(next(p for p in (store, *store.parents) if p.exists())).free
 
 
 def _size(count: int) -> str:
@@ -83,6 +105,16 @@ def least_bytes(nodes: Sequence[Node]) -> int:
         return len(nodes) * _training_bytes(first)
     if first.component == "evaluation":
         return len(nodes) * _evaluation_bytes(first)
+    return 0
+
+
+def least_stored(node: Node) -> int:
+    """Bytes of disk that the artifact of a node takes at least."""
+    if node.component == "data_generation":
+        return _log_bytes(node.config["spec"])
+    if node.component in ("policy_training", "model_fitting"):
+        kept = node.config.get("snapshots", 1) * node.config["settings"].get("members", 1)
+        return int(kept * _FLOAT * min(_weights(node), default=0))
     return 0
 
 
@@ -125,17 +157,20 @@ def _networks(settings: Mapping[str, Any]) -> list[list[int]]:
 def _training_bytes(node: Node) -> int:
     """One lane: the widest network's weights, and one batch behind its widest layer."""
     settings = node.config["settings"]
-    history, frame, _ = _shape(_spec(node.inputs["dataset"]))
-    # Models may read less than a whole observation.
-    inputs = history * frame if node.component == "policy_training" else frame
-    networks = _networks(settings)
-    weights = max(
-        (sum(a * b for a, b in pairwise([inputs, *hidden, 1])) for hidden in networks), default=0
-    )
-    widest = max((width for hidden in networks for width in hidden), default=1)
+    weights = max(_weights(node), default=0)
+    widest = max((width for hidden in _networks(settings) for width in hidden), default=1)
     batch = max(settings.get("batch", 1), settings.get("trajectories", 1))
     members = settings.get("members", 1)
     return int(members * weights * _FLOAT * _COPIES + batch * widest * _FLOAT)
+
+
+def _weights(node: Node) -> list[int]:
+    """Of every network, at least."""
+    history, frame, _ = _shape(_spec(node.inputs["dataset"]))
+    # Models may read less than a whole observation.
+    inputs = history * frame if node.component == "policy_training" else frame
+    networks = _networks(node.config["settings"])
+    return [sum(a * b for a, b in pairwise([inputs, *hidden, 1])) for hidden in networks]
 
 
 def _evaluation_bytes(node: Node) -> int:

@@ -17,6 +17,7 @@ from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.locks import locked
+from flows.pipeline.outcome import STOPPED
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
@@ -50,6 +51,7 @@ def search(
     notify: Callable[[str], None],
     finished: Callable[[Study], None] = lambda study: None,
     begun: Callable[[Node], None] = lambda node: None,
+    limit: Callable[[], str] = lambda: "",
 ) -> SearchOutcome:
     """Bring every study to a number of trials.
 
@@ -62,6 +64,7 @@ def search(
         notify: Takes one-line messages.
         finished: Called with every study that has all its trials, if one of them is complete.
         begun: Called with the node of every trial that is asked for.
+        limit: Why to stop, as a clause; empty while there is no reason.
 
     Returns:
         How the search ended. Nothing is raised for failed trials.
@@ -77,7 +80,8 @@ def search(
                 raise PipelineError(
                     f"Another process searches {study.name}: wait for it, or stop it."
                 )
-        return _Search(studies, trials, store, tracker, executor, notify, finished, begun).run()
+        everything = studies, trials, store, tracker, executor, notify, finished, begun, limit
+        return _Search(*everything).run()
 
 
 def _group(key: str) -> str:
@@ -98,6 +102,7 @@ class _Search:
         notify: Callable[[str], None],
         finished: Callable[[Study], None],
         begun: Callable[[Node], None],
+        limit: Callable[[], str],
     ) -> None:
         self.studies = studies
         self.trials = trials
@@ -106,6 +111,8 @@ class _Search:
         self.notify = notify
         self.finished = finished
         self.begun = begun
+        self.limit = limit
+        self.stopped = ""
         self.outcome = SearchOutcome()
         self.running: dict[str, _Call] = {}
         self.open = list(studies)
@@ -134,7 +141,7 @@ class _Search:
                 self._check_running()
                 self._sign_of_life()
         except KeyboardInterrupt:
-            self.outcome.interrupted = exit_code()
+            self.outcome.interrupted = STOPPED if self.stopped else exit_code()
         finally:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
                 self.executor.stop()
@@ -219,7 +226,15 @@ class _Search:
     # Running trials
 
     def _check_running(self) -> None:
-        """Report intermediate losses to the studies, and stop trials that they prune."""
+        """Report intermediate losses to the studies, and stop trials that they prune.
+
+        Raises:
+            KeyboardInterrupt: It is time to stop; trials go on from their checkpoints.
+        """
+        self.stopped = self.limit()
+        if self.stopped:
+            self._say(f"Stopping, since {self.stopped}.")
+            raise KeyboardInterrupt
         for group, call in self.running.items():
             self._report(group, call)
             if self.store.stop_file(group).exists():

@@ -12,6 +12,7 @@ from flows.command_line import check_store, main
 from flows.configuration.checking import SettingsError
 from flows.configuration.settings import load_settings
 from flows.pipeline.json_lines import read_lines
+from flows.pipeline.outcome import STOPPED
 from flows.pipeline.schedule import Group
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan
@@ -99,6 +100,34 @@ def test_a_sweep_that_cannot_begin_ends_in_the_tracker_too(
     assert events[-1]["status"] == "FAILED"
 
 
+@pytest.mark.slow(4)
+def test_a_sweep_stops_at_its_limit_and_the_same_command_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["profile=smoke", "algorithms=[bc]", "runner.executor=serial", "runner.tracker=file"]
+    words += [f"store={tmp_path}", "sweep=mine"]
+    assert door([*words, "max_hours=1e-9"], monkeypatch) == STOPPED
+    told = capsys.readouterr().err
+    assert "\nIt stops after 1e-09 hours, resumably.\n" in told
+    assert "Stopped, since max_hours=1e-09 are over; nothing finished is lost. Continue" in told
+    assert read_lines(tmp_path / "tracking" / "mine.jsonl")[-1]["status"] == "KILLED"
+    assert door(words, monkeypatch) == 0
+    assert read_lines(tmp_path / "tracking" / "mine.jsonl")[-1]["status"] == "FINISHED"
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("until=25:00", "until=25:00 is no time of day; write hours:minutes, e.g. 07:00."),
+        ("until=7", "until=7 is no time of day"),
+        ("max_hours=0", "runner.max_hours"),
+    ],
+)
+def test_a_limit_that_is_none_is_refused(word: str, says: str) -> None:
+    with pytest.raises(SettingsError, match=says):
+        load_settings([word])
+
+
 def test_a_run_of_years_can_be_wanted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,5 +190,5 @@ def test_a_disk_without_room_for_the_datasets_is_named(
     groups = [Group(n.name, [n], set()) for n in plan if n.component == "data_generation"]
     check_capacity(groups, total_memory("cpu"), ArtifactStore(tmp_path / "s", create=False).root)
     monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 79_999}))
-    with pytest.raises(SettingsError, match=r"take at least 0\.1 MiB .* free space"):
+    with pytest.raises(SettingsError, match=r"takes at least 0\.1 MiB .* free space"):
         check_capacity(groups, total_memory("cpu"), tmp_path / "s")

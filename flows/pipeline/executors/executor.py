@@ -28,7 +28,7 @@ class Executor(Protocol):
 
         Args:
             notify: Takes one-line messages.
-            watch: Called at every validation by executors that compute inside `wait`, so that the
+            watch: Called at every report by executors that compute inside `wait`, so that the
                 caller can read the losses reported so far.
         """
 

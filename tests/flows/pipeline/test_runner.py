@@ -11,6 +11,7 @@ from rich.console import Console
 
 from components.core.files import read_json, write_json
 from components.core.sealed import seal
+from flows.pipeline.driver import Driver
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node, Plan
@@ -44,6 +45,7 @@ def run(
     tracker: Tracker | None = None,
     *,
     repairs: bool = True,
+    driver: Driver | None = None,
 ) -> Outcome:
     return run_plan(
         Plan(nodes),
@@ -53,6 +55,7 @@ def run(
         executor=SerialExecutor(),
         command="make it so",
         repairs=repairs,
+        driver=driver,
     )
 
 

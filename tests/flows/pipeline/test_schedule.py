@@ -50,6 +50,31 @@ def test_lanes_form_groups_with_priorities_along_the_chain(
     assert groups[4].needs == {groups[2].name, groups[3].name}
 
 
+def test_where_there_is_much_to_do_cheap_results_and_what_they_share_come_first(
+    store: ArtifactStore, tmp_path: Path
+) -> None:
+    shared = node("number", "shared", tmp_path, cost=2.0)
+    results = [
+        node("total", f"r{i}", tmp_path, {"a": node("total", f"p{i}", tmp_path, {"b": shared}, i=i,
+             cost=float(30 - i))}, cost=0.1)
+        for i in range(30)
+    ]  # fmt: skip
+    alone = node("number", "alone", tmp_path, cost=1.5)
+    plan = Plan([*results, alone])
+
+    def order(slots: int) -> list[str]:
+        groups = form_groups(plan, [node.key for node in plan], store, slots)
+        ends = simulate_schedule(groups, {g.name: g.priority for g in groups}, slots=1)
+        names = {group.name: group.nodes[0].name for group in groups}
+        return [names[name] for name in sorted(ends, key=lambda name: ends[name])]
+
+    early = order(slots=1)
+    assert early[:6] == ["alone", "shared", "p29", "r29", "p28", "r28"]
+    assert early[-2:] == ["p0", "r0"]
+    # 465 s on two processors are less than ten chains of 32 s each: the longest chain first.
+    assert order(slots=2)[:2] == ["shared", "p0"]
+
+
 def test_lanes_that_wait_for_themselves_are_refused(store: ArtifactStore, tmp_path: Path) -> None:
     first = node("total", "first", tmp_path, lanes="same")
     between = node("total", "between", tmp_path, {"a": first})

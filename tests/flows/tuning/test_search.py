@@ -10,6 +10,7 @@ from optuna.trial import TrialState
 
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.locks import locked
+from flows.pipeline.outcome import STOPPED
 from flows.pipeline.plan import digest
 from flows.pipeline.store import ArtifactStore
 from flows.tuning import space as spaces
@@ -162,6 +163,20 @@ def test_ctrl_c_ends_the_search_and_the_next_one_continues_it(home: Path, log: P
     assert made.ended == 3
     key = specification(log).node_of(made.trials()[1].params, 1).key
     assert counted(log, f"step-{key}") == STEPS + 1  # step 5 was begun twice
+
+
+def test_a_search_stops_at_its_limit_and_the_next_one_continues_it(home: Path, log: Path) -> None:
+    key = specification(log).node(ToyConfig(log=str(log))).key  # of the start, the first trial
+    notes: list[str] = []
+    late = "max_hours=8 are over"
+    outcome = run(
+        home, log, 3, notes=notes, limit=lambda: late if counted(log, f"step-{key}") >= 5 else ""
+    )
+    assert (outcome.status, outcome.exit_code) == ("KILLED", STOPPED)
+    assert "Stopping, since max_hours=8 are over." in notes
+    assert run(home, log, 3).exit_code == 0
+    assert study(home, log).ended == 3
+    assert counted(log, f"step-{key}") == STEPS, "the checkpoint was used"
 
 
 def test_what_is_finished_elsewhere_is_not_fitted_again(home: Path, log: Path) -> None:

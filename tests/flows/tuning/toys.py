@@ -110,5 +110,7 @@ def run(home: Path, log: Path, trials: int, **kind: Any) -> SearchOutcome:
     notes = kind.pop("notes", [])
     tracker = kind.pop("tracker", NullTrials())
     executor = kind.pop("executor", None) or SerialExecutor()
+    limit = kind.pop("limit", lambda: "")
     found = [study(home, log, **kind)]
-    return search(found, trials, ArtifactStore(home), tracker, executor, notes.append)
+    store = ArtifactStore(home)
+    return search(found, trials, store, tracker, executor, notes.append, limit=limit)

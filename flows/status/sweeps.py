@@ -1,0 +1,111 @@
+"""The sweeps of a store: which there are, and which one is meant."""
+
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flows.configuration.checking import SettingsError, StrictModel
+from flows.pipeline.driver import read_driver
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
+from flows.status.sweep_state import Phase, phase_of
+
+__all__ = ["Listed", "SweepWords", "chosen", "fields_of", "listed", "open_store"]
+
+_RUNNING = ("running", "stopping")
+
+
+class SweepWords(StrictModel):
+    """Which sweep of which store."""
+
+    sweep: str | None = None
+    store: Path = Path("mlruns")
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A sweep in a list.
+
+    Attributes:
+        record: Of it.
+        phase: Of its driver.
+        done: Finished nodes.
+    """
+
+    record: SweepRecord
+    phase: Phase
+    done: int
+
+
+def listed(store: ArtifactStore) -> list[Listed]:
+    """All sweeps of a store.
+
+    Raises:
+        ValueError: A record is damaged.
+    """
+    found = []
+    for path in sweep_files(store.root):
+        record = read_sweep(path)
+        phase = phase_of(store, read_driver(store.root, record.name), time.time())
+        done = sum(store.path(key).is_dir() for key in record.nodes)
+        found.append(Listed(record, phase, done))
+    return found
+
+
+def chosen(store: ArtifactStore, name: str | None) -> SweepRecord | None:
+    """The sweep that is meant: of this name, the only one, or the only one that runs.
+
+    Returns:
+        None if there are several and no name tells them apart.
+
+    Raises:
+        SettingsError: There is none of this name, or none at all.
+        ValueError: A record is damaged.
+    """
+    paths = {path.stem: path for path in sweep_files(store.root)}
+    known = ", ".join(sorted(paths)) or "none"
+    if not paths or (name and name not in paths):
+        asked = f"sweep={name}: " if name else ""
+        raise SettingsError(f"{asked}{store.root} has no such sweep; there are: {known}.")
+    if name or len(paths) == 1:
+        return read_sweep(paths[name or next(iter(paths))])
+    running = [sweep.record for sweep in listed(store) if sweep.phase in _RUNNING]
+    return running[0] if len(running) == 1 else None
+
+
+def fields_of(words: Sequence[str], switches: Collection[str] = ()) -> dict[str, str]:
+    """The values of a command line, by key.
+
+    Args:
+        words: Each is key=value, or a switch as ``--name``.
+        switches: Names of those.
+
+    Raises:
+        SettingsError: A word is neither, or a key is given twice.
+    """
+    fields: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals and key.startswith("--") and key[2:] in switches:
+            key, value = key[2:], "true"
+        elif not equals or not key or key.startswith("-"):
+            also = "".join(f", or --{name}" for name in switches)
+            raise SettingsError(f"{word!r} is not a setting; write key=value{also}.")
+        if key in fields:
+            raise SettingsError(f"{key} is given twice; give it once.")
+        fields[key] = value
+    return fields
+
+
+def open_store(words: SweepWords) -> ArtifactStore:
+    """The store, to read only.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    if not (words.store / "nodes").is_dir():
+        raise SettingsError(
+            f"store={words.store} holds no runs; give the folder that a sweep has made."
+        )
+    return ArtifactStore(words.store, create=False)

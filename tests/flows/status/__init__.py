@@ -1,0 +1,1 @@
+"""A sweep, looked at and stopped from outside."""
