@@ -1,6 +1,7 @@
 """Records an exported policy as a model in MLflow, beside the run of its training."""
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -66,17 +67,25 @@ def log_policy(
     return str(model.model_id)
 
 
+_INHERITED = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_ID")
+"""What MLflow writes into the environment, so that processes started later would use it."""
+
+
 @contextmanager
 def _current(experiment: MlflowExperiment) -> Iterator[Any]:
     """MLflow, with the experiment as the one that its functions without a client use."""
     mlflow = import_mlflow()
-    before = mlflow.get_tracking_uri()
+    before = {name: os.environ.get(name) for name in _INHERITED}
     mlflow.set_tracking_uri(experiment.address.tracking)
     try:
         mlflow.set_experiment(experiment_id=experiment.id)
         yield mlflow
     finally:
-        mlflow.set_tracking_uri(before)
+        mlflow.set_tracking_uri(None)  # what the environment says
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 def _signature(card: Mapping[str, Any]) -> Any:

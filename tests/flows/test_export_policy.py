@@ -203,6 +203,8 @@ def test_a_model_of_mlflow_has_a_signature_and_serves_without_this_project(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert door(store, monkeypatch, f"run={STEERED}", "to=mlflow") == 0
+    for name in ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_ID"):
+        assert name not in os.environ, "processes that are started later use what they did before"
     out = capsys.readouterr().out
     [model_id] = {word for word in out.split() if word.startswith("models:/")}
     assert f"mlflow models serve --model-uri {model_id} --env-manager local --host 127.0" in out

@@ -50,7 +50,8 @@ def test_every_kind_is_here() -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_a_rate_far_out_of_range(model: str, tmp_path: Path) -> None:
     if model == "behaviour_policy":  # its tanh saturates: a bad policy, and a finite one
-        saturated = fit(model, LOG, learning_rate=1e30)
+        # Its products stay within single precision; beyond, processors differ in what is undefined.
+        saturated = fit(model, LOG, learning_rate=1e15)
         assert_finite(saturated, tmp_path)
         assert saturated.validation_loss > saturated.metrics["training/untrained_loss"]
     deeper = {"hidden": (8, 8, 8)} if model == "behaviour_policy" else {}

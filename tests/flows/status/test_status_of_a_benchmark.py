@@ -19,7 +19,10 @@ def told(store: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.slow(25)
-def test_a_finished_benchmark(smoke: SmokeRun, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_benchmark(
+    smoke: SmokeRun, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")  # all algorithms beside each other
     before = set(smoke.store.rglob("*"))
     text = told(smoke.store, capsys)
     assert text.startswith("Sweep smoke: finished.\n")
