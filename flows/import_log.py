@@ -123,6 +123,8 @@ def read_schema(path: Path) -> LogSchema:
         )
     content = OmegaConf.to_container(files.read_file(path), resolve=False)
     try:
+        if isinstance(content, dict) and "actions" in content and not content["actions"]:
+            raise SettingsError("actions names none; write NAME: [LEAST, LARGEST] below it.")
         schema: LogSchema = build_config(LogSchema, "", content)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error

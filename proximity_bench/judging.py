@@ -75,6 +75,8 @@ def judge(
         ValueError: An unknown setting, or a log that does not suit; one sentence.
     """
     several = [policies] if isinstance(policies, Policy) else list(policies)
+    if not several or not all(isinstance(policy, Policy) for policy in several):
+        raise ValueError("Nothing to judge; give a policy of pb.train or pb.load, or several.")
     name = log.card.name
     chosen = _settings(log, models or {}, settings)
     for policy in several:

@@ -100,9 +100,14 @@ def _only(store: ArtifactStore) -> tuple[str, ...]:
     """
     names = [name for name in sweeps_of(store.root) if has_cells(store.root, name)]
     if len(names) != 1:
-        there = f"there are {', '.join(names)}" if names else "it has none"
+        there = f"there are {', '.join(names)}" if names else _none(store)
         raise SettingsError(f"Name a sweep of {store.root}, e.g. sweep=NAME; {there}.")
     return tuple(names)
+
+
+def _none(store: ArtifactStore) -> str:
+    known = ", ".join(sweeps_of(store.root))
+    return f"none of {known} evaluates policies in a real system" if known else "it has none"
 
 
 if __name__ == "__main__":

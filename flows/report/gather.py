@@ -27,7 +27,7 @@ from flows.report.graphs import graph_notes
 from flows.report.other_tables import judges_of, ranking_of, selection_of
 from flows.report.returns import cell_returns, pooled_snapshots, with_intervals
 from flows.report.software import software_notes
-from flows.report.stored_nodes import StoredSweep, read_stored_sweep
+from flows.report.stored_nodes import StoredSweep, has_cells, read_stored_sweep
 
 __all__ = ["gather"]
 
@@ -60,6 +60,11 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     """
     parts = [_read(store, name, several=len(names) > 1) for name in names]
     if not any(part.cells for part in parts):
+        if not any(has_cells(store.root, name) for name in names):
+            raise SettingsError(
+                f"sweep={','.join(names)} has evaluated no policy in a real system, and the page "
+                f"is about those; {store.root / 'reports' / names[0]} holds what it has found."
+            )
         raise SettingsError(
             f"sweep={','.join(names)}: no dataset and algorithm is finished with all seeds yet; "
             "give the sweep's own command to go on."

@@ -367,6 +367,9 @@ def test_a_draft_needs_few_corrections_and_is_never_overwritten(project: Path, k
     with pytest.raises(SettingsError, match="outcome_row='FILL_IN'"):
         import_log(load_import_settings(words))
     assert Path("furnace.yaml").read_text(encoding="utf-8") == draft
+    Path("furnace.yaml").write_text("features: [oxygen]\nactions:\n", encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"furnace\.yaml: actions names none; write NAME:"):
+        import_log(load_import_settings(words))
     Path("furnace.yaml").write_text(draft.replace("FILL_IN", "after"), encoding="utf-8")
     described = read_schema(Path("furnace.yaml"))
     assert described.features == ("temperature", "oxygen")

@@ -68,6 +68,12 @@ def test_mistakes_end_in_one_sentence(wrong: dict[str, Any], message: str) -> No
         pb.judge(trained("bc", snapshots=1), LOG, **(SMALL | wrong))
 
 
+@pytest.mark.parametrize("policies", [[], "furnace-policy"])
+def test_something_must_be_judged(policies: Any) -> None:
+    with pytest.raises(ValueError, match="Nothing to judge; give a policy"):
+        pb.judge(policies, LOG, **SMALL)
+
+
 def test_a_log_of_another_plant_is_refused() -> None:
     policy = trained("bc", snapshots=1)
     names = ("pressure", *LOG.card.frame_features[1:])

@@ -162,6 +162,16 @@ def test_of_several_sweeps_one_has_to_be_named(smoke: SmokeRun, tmp_path: Path) 
         door(f"store={store}")
 
 
+def test_a_sweep_without_a_real_system_is_named(smoke: SmokeRun, tmp_path: Path) -> None:
+    store = partial_store(smoke, tmp_path)
+    (store / "sweeps" / "smoke.json").unlink()
+    SweepRecord("pump", "again", {"0" * 32: "judge/bc/pump/seed0"}).save(store)
+    with pytest.raises(SettingsError, match="none of pump evaluates policies in a real system"):
+        door(f"store={store}")
+    with pytest.raises(SettingsError, match=r"no policy in a real system.*reports/pump holds"):
+        door(f"store={store}", "sweep=pump")
+
+
 def test_help_names_every_setting() -> None:
     for name in ReportSettings.model_fields:
         assert f"\n  {name}=" in HELP
