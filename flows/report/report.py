@@ -35,6 +35,10 @@ from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
 
+_NOT_JUDGED = (
+    "stored but not evaluated; a judgement from the log takes four episodes, and judging.policies "
+    "must not be none."
+)
 _CARD = "dataset/card.json"
 
 
@@ -70,7 +74,7 @@ class Report:
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
         reason = "has no system to evaluate on: its policies are "
-        judged = {True: "judged from its log alone.", False: "stored but not evaluated."}
+        judged = {True: "judged from its log alone.", False: _NOT_JUDGED}
         return [
             *self.comparison,
             *self.fit_notes,
@@ -116,7 +120,9 @@ class Report:
         return [*table, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
 
     def markdown(self) -> str:
-        """The overview, what its signs mean, and the long form, as Markdown."""
+        """The overview, what its signs mean, and the long form, as Markdown, if there are rows."""
+        if self.table.empty:
+            return ""
         signs = "".join(f"\n{note}\n" for note in self.overview.notes())
         return f"{markdown_overview(self.overview)}{signs}\n{markdown_table(self.table)}"
 

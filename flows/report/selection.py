@@ -97,6 +97,9 @@ def write_selection(
         "policy; docs/judging.md):",
         "",
         *selection_markdown(table).splitlines(),
+        "",
+        f"All {len(table)} rows and all scores are in selection.csv.",
+        *doubts(policies, cards),
     ]
     judges = judge_table(
         policies,
@@ -117,6 +120,29 @@ def write_selection(
     for path, content in zip(files, written.values(), strict=True):
         write_text(path, content.to_csv(index=False, lineterminator="\n"))
     return Selection(files, lines, frozenset(policies["dataset"]))
+
+
+def doubts(policies: pd.DataFrame, cards: Sequence[DatasetCard]) -> list[str]:
+    """A sentence for every log whose own returns do not hold what judges give its behaviour policy.
+
+    The clone of a controller, without its exploration, may be somewhat better than its log.
+    """
+    found = []
+    for card in cards:
+        own = policies[policies["dataset"] == card.name]
+        low, high = card.first_window_return_min, card.first_window_return_max
+        usual = [
+            f"{float(own[name].iloc[0]):.1f} by {words}"
+            for name, words in (("model_usual", "the ensemble"), ("fitted_q_usual", "the critics"))
+            if len(own) and not np.isnan(own[name].iloc[0]) and not low <= own[name].iloc[0] <= high
+        ]
+        if usual:
+            found.append(
+                f"{card.name}: its behaviour policy is worth {' and '.join(usual)}, but the log's "
+                f"own returns lie between {low:.1f} and {high:.1f} (mean "
+                f"{card.first_window_return_mean:.1f}): do not trust the gains there."
+            )
+    return found
 
 
 def _blind(judges: pd.DataFrame) -> list[str]:

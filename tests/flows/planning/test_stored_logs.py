@@ -175,14 +175,14 @@ def test_policies_from_a_log_of_a_registered_system_are_evaluated_there(project:
 
 @pytest.mark.parametrize(
     ("wanted", "said"),
-    [("auto", "judged from its log alone"), ("none", "stored but not evaluated")],
+    [("auto", "judged from its log alone."), ("none", "stored but not evaluated; a judgement")],
 )
 def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
     project: Path, capsys: pytest.CaptureFixture[str], wanted: str, said: str
 ) -> None:
     words = ("algorithms=[bc]", "runner.executor=serial", f"store={project / 'store'}")
     assert full_benchmark._run(chosen(*words, f"judging.policies={wanted}")) == 0
-    note = f"my-log has no system to evaluate on: its policies are {said}."
+    note = f"my-log has no system to evaluate on: its policies are {said}"
     shown = capsys.readouterr().out
     assert f"Note: {note}" in shown
     [report] = (project / "store" / "reports").glob("*/results.md")
