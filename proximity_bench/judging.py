@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, ESTIMATES, scored
-from components.data.assembly import part_of
+from components.data.assembly import divided
 from components.data.dataset import OfflineDataset
 from components.data.sources.held_log import HeldLog
-from components.data.splits import split_episodes
 from components.judging.judged import JudgedPolicies
 from components.judging.judgement import judge as judge_policies
 from components.training.memory import keep_freed_memory
@@ -35,14 +34,13 @@ def split(log: OfflineDataset, held_out: float = 0.3) -> tuple[OfflineDataset, O
     """Divide a log: the first episodes to learn from, the last ones to judge by.
 
     Args:
-        log: Of at least two episodes; four, if both parts are to be fitted to.
+        log: Of at least two episodes; with four or more, both parts have two at least.
         held_out: Share of the episodes in the second part.
 
     Raises:
         ValueError: The share is outside (0, 1), or there is a single episode.
     """
-    parts = split_episodes(log, held_out)
-    return part_of(log, parts.train), part_of(log, parts.held_out)
+    return divided(log, held_out)
 
 
 def judge(

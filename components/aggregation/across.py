@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import bootstrap, friedmanchisquare, rankdata, studentized_range
+from scipy.stats import friedmanchisquare, rankdata, studentized_range
 
-from components.aggregation.intervals import CONFIDENCE
+from components.aggregation.intervals import CONFIDENCE, percentile_interval
 
 __all__ = [
     "Estimate",
@@ -30,7 +30,6 @@ Runs = Sequence[Array]
 """Scores of an algorithm: per dataset ``[R]``, one per seed."""
 
 _RESAMPLES: Final = 1000
-_RANDOM: Final = 0  # seed of the resampling
 _TRIM: Final = 0.25  # share of the runs cut from either end
 
 
@@ -96,16 +95,7 @@ def _estimate(statistic: Callable[..., Array], samples: Runs) -> Estimate:
     value = statistic(*samples)
     if min(map(len, samples)) < 2:  # a single seed tells no spread
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
-    found = bootstrap(
-        samples,
-        statistic,
-        n_resamples=_RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=_RANDOM,
-        vectorized=True,
-    ).confidence_interval
-    return Estimate(value, found.low, found.high)
+    return Estimate(value, *percentile_interval(statistic, samples, _RESAMPLES))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ training resemble each other, so a pool of ten policies from five seeds has five
 The thesis's standard error, 1.7 sd / sqrt(N), counts policies; these intervals draw whole seeds.
 """
 
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from scipy.stats import bootstrap
 
 from components.aggregation.statistics import PERCENTILE
 
-__all__ = ["CONFIDENCE", "seed_interval"]
+__all__ = ["CONFIDENCE", "percentile_interval", "seed_interval"]
 
 CONFIDENCE: Final = 0.95
 _RESAMPLES: Final = 2000
@@ -46,13 +47,29 @@ def seed_interval(
         percentiles: npt.NDArray[np.float64] = np.percentile(merged, PERCENTILE, axis=0)
         return np.moveaxis(percentiles, 0, -1) if rows.ndim > 1 else percentiles
 
+    low, high = percentile_interval(statistic, (np.arange(seeds),), _RESAMPLES)
+    return np.where(undefined, np.nan, low), np.where(undefined, np.nan, high)
+
+
+def percentile_interval(
+    statistic: Callable[..., npt.NDArray[np.float64]],
+    samples: Sequence[npt.NDArray[Any]],
+    resamples: int,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Ends of the 95 % percentile interval of a statistic, by the bootstrap.
+
+    Args:
+        statistic: Of as many samples, over their last axis or ``axis``.
+        samples: Each is drawn again by itself.
+        resamples: How often.
+    """
     found = bootstrap(
-        (np.arange(seeds),),
+        samples,
         statistic,
-        n_resamples=_RESAMPLES,
+        n_resamples=resamples,
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=_RANDOM,
         vectorized=True,
     ).confidence_interval
-    return np.where(undefined, np.nan, found.low), np.where(undefined, np.nan, found.high)
+    return found.low, found.high

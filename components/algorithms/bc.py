@@ -14,12 +14,13 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, saturation
+from components.algorithms.parts.learner import LearnerInputs, descend, saturation
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.networks import StackedMLP, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

@@ -33,7 +33,6 @@ from torch.nn.functional import hardtanh
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
-    StackedLearner,
     adam_each,
     bootstrapped,
     descend,
@@ -53,6 +52,7 @@ from components.networks import (
 )
 from components.networks.variational import ConditionalVAE
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

@@ -41,7 +41,6 @@ from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     Scalars,
-    StackedLearner,
     adam_each,
     bootstrapped,
     descend,
@@ -61,6 +60,7 @@ from components.networks import (
 )
 from components.networks.variational import ConditionalVAE
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = [
     "ALGORITHM",

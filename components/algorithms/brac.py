@@ -37,7 +37,6 @@ from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
     Scalars,
-    StackedLearner,
     adam_each,
     bootstrapped,
     descend,
@@ -50,6 +49,7 @@ from components.data.batches import Batch
 from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.networks.gaussian import Sample, log_density, raw_actions
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

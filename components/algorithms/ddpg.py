@@ -32,7 +32,6 @@ from torch import Tensor
 from components.algorithms.parts.algorithm import Algorithm, per_transition
 from components.algorithms.parts.learner import (
     LearnerInputs,
-    StackedLearner,
     adam_each,
     bootstrapped,
     descend,
@@ -43,6 +42,7 @@ from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.batches import Batch
 from components.networks import Critics, StackedMLP, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = [
     "ALGORITHM",

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner, descend, needed
+from components.algorithms.parts.learner import LearnerInputs, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.algorithms.parts.virtual_returns import TRANSITIONS, VirtualReturns
 from components.core.draws import Beta, Draw
@@ -35,6 +35,7 @@ from components.networks import StackedMLP, lanewise_mean
 from components.policies.deployment import KINDS
 from components.policies.policy import PROXIMITY_SCALING, Policy, PolicyCard
 from components.training.loop import adam
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

@@ -32,12 +32,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
-from components.algorithms.parts.learner import (
-    LearnerInputs,
-    StackedLearner,
-    gather_gradients,
-    saturation,
-)
+from components.algorithms.parts.learner import LearnerInputs, gather_gradients, saturation
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Normal
 from components.core.normaliser import Normaliser
@@ -48,6 +43,7 @@ from components.models.transition.model_environment import ModelEnvironment, dis
 from components.networks import StackedMLP, lane_groups, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner", "mixed_return"]
 

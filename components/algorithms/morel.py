@@ -49,12 +49,7 @@ from torch import Tensor
 from components.algorithms.parts.advantages import Baseline, discounted_returns
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.halting import Rollouts, by_sample, live_samples
-from components.algorithms.parts.learner import (
-    LearnerInputs,
-    StackedLearner,
-    descend,
-    saturation,
-)
+from components.algorithms.parts.learner import LearnerInputs, descend, saturation
 from components.algorithms.parts.natural_gradient import (
     LOG_STD_RANGE,
     FisherProduct,
@@ -73,6 +68,7 @@ from components.models.transition.model_environment import ModelEnvironment
 from components.networks import lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

@@ -26,13 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from components.algorithms.parts.algorithm import Algorithm, per_transition
-from components.algorithms.parts.learner import (
-    LearnerInputs,
-    StackedLearner,
-    descend,
-    needed,
-    saturation,
-)
+from components.algorithms.parts.learner import LearnerInputs, descend, needed, saturation
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Choice
 from components.core.normaliser import Normaliser
@@ -42,6 +36,7 @@ from components.data.returns import window_returns
 from components.networks import StackedMLP, lanewise_mean
 from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

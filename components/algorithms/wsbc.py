@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm
-from components.algorithms.parts.learner import LearnerInputs, StackedLearner
+from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
@@ -48,6 +48,7 @@ from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
 from components.policies.deployment import KINDS, Layers
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["ALGORITHM", "Config", "Learner"]
 

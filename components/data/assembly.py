@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from components.data.card import DatasetCard
 from components.data.dataset import OfflineDataset, array_digest
 from components.data.returns import RETURN_STEPS, log_returns
+from components.data.splits import split_episodes
 from components.data.validity import check_arrays, check_card
 
-__all__ = ["assemble", "part_of"]
+__all__ = ["assemble", "divided", "part_of"]
 
 _OF_ARRAYS: Final = (
     "trajectories",
@@ -100,3 +101,19 @@ def part_of(dataset: OfflineDataset, episodes: range) -> OfflineDataset:
     card = {f.name: getattr(dataset.card, f.name) for f in fields(DatasetCard)}
     kept = {name: value for name, value in card.items() if name not in _OF_ARRAYS}
     return assemble(arrays | {"episode_starts": np.array(starts - first)}, **kept)
+
+
+def divided(dataset: OfflineDataset, held_out: float) -> tuple[OfflineDataset, OfflineDataset]:
+    """A log in two parts: the first episodes to learn from, the last ones to judge by.
+
+    Models are fitted to both, and hold out episodes themselves: with four or more, both have two.
+
+    Args:
+        dataset: of at least two episodes.
+        held_out: share of the episodes in the second part.
+
+    Raises:
+        ValueError: a share outside (0, 1), or a dataset of a single episode.
+    """
+    split = split_episodes(dataset, held_out, least=2)
+    return part_of(dataset, split.train), part_of(dataset, split.held_out)

@@ -34,13 +34,13 @@ class EpisodeSplit:
         return Normaliser.fit(np.asarray(dataset.frames[: self.trained_frames(dataset)]))
 
 
-def split_episodes(dataset: OfflineDataset, fraction: float = 0.1) -> EpisodeSplit:
+def split_episodes(dataset: OfflineDataset, fraction: float = 0.1, least: int = 1) -> EpisodeSplit:
     """Hold out the last episodes.
 
     Args:
         dataset: with at least two episodes.
-        fraction: share of the episodes to hold out, rounded up to at least one, at most all but
-            one.
+        fraction: share of the episodes to hold out, rounded up.
+        least: episodes that both sides get at least, if there are enough; otherwise one.
 
     Raises:
         ValueError: a fraction outside (0, 1) or a dataset of a single episode.
@@ -51,6 +51,9 @@ def split_episodes(dataset: OfflineDataset, fraction: float = 0.1) -> EpisodeSpl
         raise ValueError(
             f"dataset {dataset.card.name!r} has a single episode; holding one out needs two."
         )
-    count = min(max(1, math.ceil(dataset.episodes * fraction - 1e-9)), dataset.episodes - 1)
+    if dataset.episodes < 2 * least:
+        least = 1
+    wanted = math.ceil(dataset.episodes * fraction - 1e-9)
+    count = min(max(least, wanted), dataset.episodes - least)
     boundary = dataset.episodes - count
     return EpisodeSplit(train=range(boundary), held_out=range(boundary, dataset.episodes))

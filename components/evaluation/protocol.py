@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from components.policies.proximities import check_proximity_step, proximity_grid
+
 __all__ = ["EvaluationProtocol"]
 
 
@@ -26,16 +28,12 @@ class EvaluationProtocol:
                 "trajectories and horizon must be at least 1, got "
                 f"{self.trajectories} and {self.horizon}."
             )
-        step = self.proximity_step
-        # curves over the proximity count their points in whole percent
-        if not 0.01 <= step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
-            raise ValueError(f"proximity_step must divide 1 and be at least 0.01, got {step}.")
+        check_proximity_step(self.proximity_step)
 
     @property
     def proximities(self) -> tuple[float, ...]:
         """The grid 0, step, ..., 1."""
-        count = round(1 / self.proximity_step)
-        return tuple(n / count for n in range(count + 1))
+        return proximity_grid(self.proximity_step)
 
     def record(self, discount: float) -> dict[str, Any]:
         """What identifies an evaluation, under the names that stored results have.

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from components.policies.proximities import check_proximity_step, proximity_grid
+
 __all__ = ["JudgeConfig"]
 
 
@@ -16,7 +18,7 @@ class JudgeConfig:
     # the log's support
     neighbours: int = 10_000  # logged transitions to which others are compared
     visited: int = 500  # states of the virtual trajectories that are compared
-    quantile: float = 0.99  # of held-out transitions that are said to be within the support
+    quantile: float = 0.99  # of what is familiar that is said to be within the support
     # fitted Q evaluation
     updates: int = 2000
     hidden: tuple[int, ...] = (64, 64)
@@ -43,12 +45,9 @@ class JudgeConfig:
             raise ValueError(f"quantile must lie between 0 and 1, got {self.quantile}.")
         if self.learning_rate <= 0 or not 0 < self.target_rate <= 1:
             raise ValueError("learning_rate must be above 0, target_rate in (0, 1].")
-        step = self.proximity_step
-        if not 0.01 <= step <= 1 or abs(round(1 / step) * step - 1) > 1e-9:
-            raise ValueError(f"proximity_step must divide 1 and be at least 0.01, got {step}.")
+        check_proximity_step(self.proximity_step)
 
     @property
     def proximities(self) -> tuple[float, ...]:
         """The grid 0, step, ..., 1."""
-        count = round(1 / self.proximity_step)
-        return tuple(n / count for n in range(count + 1))
+        return proximity_grid(self.proximity_step)

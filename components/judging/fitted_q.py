@@ -28,18 +28,12 @@ from components.judging.config import JudgeConfig
 from components.networks.stacked import StackedMLP, polyak_update
 from components.training.cuda_graphs import graphed
 from components.training.loop import TrainingLoop, adam
-from components.training.state import (
-    load_optimizer_state,
-    module_state,
-    optimizer_state,
-    prefixed,
-    with_prefix,
-)
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["FittedQ", "policy_values"]
 
 
-class FittedQ:
+class FittedQ(StackedLearner):
     """The critics of Q policies, R replicas each: lanes ``[R, Q]``.
 
     Args:
@@ -49,8 +43,6 @@ class FittedQ:
         config: Widths and rates.
         key: Random stream; all policies have the same initial weights and batches.
     """
-
-    updates_per_graph = 20
 
     def __init__(
         self,
@@ -72,7 +64,9 @@ class FittedQ:
             StackedMLP([lane_generator(own) for own in weights], sizes).to(data.device)
             for _ in range(2)
         )
+        self._networks = {"critic": self.critic, "target": self.target}
         self._optimizer = adam(list(self.critic.parameters()), config.learning_rate)
+        self._optimizers = {"critic": self._optimizer}
         draw = Integers([len(rows)] * self._replicas, config.batch)
         self._streams = LaneStreams(keys, {"row": draw}, data.device)
         logged = data.batch(rows.expand(self._replicas, -1))
@@ -83,20 +77,9 @@ class FittedQ:
         least, most = ((float(end) - self._mean) / self._scale for end in rewards.aminmax())
         if self._ends:  # nothing is earned after the end
             least, most = min(least, 0.0), max(most, 0.0)
-        forever = math.inf if self._discount == 1.0 else 1.0 / (1.0 - self._discount)
-        self._range = (least * forever, most * forever) if least < most else (0.0, 0.0)
-
-    def branch(self, step: int) -> str:
-        """All updates belong to one branch."""
-        return "all"
-
-    def stage(self, first: int, count: int) -> None:
-        """Tell CUDA graphs which steps come next."""
-        self._streams.stage(first, count)
-
-    def draw(self, first: int, count: int) -> None:
-        """Draw the numbers of the steps that were staged."""
-        self._streams.draw(count)
+        self._range = (-math.inf, math.inf)
+        if self._discount < 1.0:
+            self._range = least / (1.0 - self._discount), most / (1.0 - self._discount)
 
     def update(self, step: int) -> dict[str, Tensor]:
         """One step of all critics towards their targets."""
@@ -145,17 +128,6 @@ class FittedQ:
         """``[R, Q, B]`` of observations ``[R, B, O]`` and actions ``[R, Q, B, A]``."""
         seen = observations[:, None].expand(-1, self._policies, -1, -1).flatten(0, 1)
         return critic.over_actions(seen, actions.flatten(0, 1)[:, :, None]).view(actions.shape[:3])
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """All that the next update depends on, lane axis first in every tensor."""
-        state = module_state({"critic": self.critic, "target": self.target})
-        return state | prefixed("optimizer", optimizer_state(self._optimizer))
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore what :meth:`state_dict` returned."""
-        self.critic.load_state_dict(with_prefix("critic", state))
-        self.target.load_state_dict(with_prefix("target", state))
-        load_optimizer_state(self._optimizer, with_prefix("optimizer", state))
 
 
 def policy_values(

@@ -1,7 +1,7 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +17,7 @@ from components.aggregation.selection import (
 )
 from components.core.files import write_text
 from components.data.card import DatasetCard
+from components.judging.judgement import Judgement
 from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node, Plan
@@ -24,17 +25,6 @@ from flows.pipeline.store import ArtifactStore
 from flows.tasks.judging import JUDGEMENT
 
 __all__ = ["NOTHING_JUDGED", "Selection", "judged_policies", "write_selection"]
-
-_COLUMNS: Final = (
-    "model",
-    "model_error",
-    "model_least",
-    "fitted_q",
-    "fitted_q_error",
-    "distance",
-    "outside",
-    "promised",
-)
 
 _QUALITIES: Final = {
     "spearman": 2,
@@ -192,7 +182,7 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
             "seed": int(node.tags["seed"]),
             "step": steps.ravel(),
             "proximity": proximities.ravel(),
-            **{name: found[name].ravel() for name in _COLUMNS},
+            **{f.name: found[f.name].ravel() for f in fields(Judgement)},
             **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in ESTIMATES},
             "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),

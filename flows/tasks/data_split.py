@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from components.data.assembly import part_of
-from components.data.splits import split_episodes
+from components.data.assembly import divided
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import note_dataset, open_dataset
 
@@ -13,9 +12,7 @@ __all__ = ["split_log"]
 def split_log(jobs: Sequence[Job], context: TaskContext) -> None:
     """Split of a log: `dataset/` holds its first episodes (`train`), or its last ones (`judge`)."""
     for job in jobs:
-        dataset = open_dataset(job)
-        split = split_episodes(dataset, job.config["held_out"])
-        episodes = {"train": split.train, "judge": split.held_out}[job.config["part"]]
-        part = part_of(dataset, episodes)
+        parts = divided(open_dataset(job), job.config["held_out"])
+        part = dict(zip(("train", "judge"), parts, strict=True))[job.config["part"]]
         part.write(job.out / "dataset")
         note_dataset(job, part)

@@ -27,6 +27,8 @@ def test_a_log_is_divided_by_whole_episodes() -> None:
     learned, held_out = pb.split(LOG, 0.25)
     assert (learned.episodes, held_out.episodes) == (6, 2)
     np.testing.assert_array_equal(np.concatenate([learned.actions, held_out.actions]), LOG.actions)
+    for share in (0.01, 0.99):  # models need two episodes of both
+        assert {part.episodes for part in pb.split(LOG, share)} == {2, 6}
     with pytest.raises(ValueError, match="between 0 and 1"):
         pb.split(LOG, 1.0)
 

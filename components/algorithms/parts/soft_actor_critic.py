@@ -22,7 +22,6 @@ from torch import Tensor
 
 from components.algorithms.parts.learner import (
     Scalars,
-    StackedLearner,
     adam_each,
     bootstrapped,
     descend,
@@ -31,6 +30,7 @@ from components.algorithms.parts.learner import (
 from components.data.batches import Batch, LaneData
 from components.networks import Critics, TanhGaussian, lanewise_mean, polyak_update
 from components.policies.policy import Policy, PolicyCard
+from components.training.stacked_learner import StackedLearner
 
 __all__ = ["LOG_STD_RANGE", "SoftActorCritic"]
 

@@ -16,6 +16,7 @@ from components.data.assembly import assemble
 from components.data.controllers.industrial import CONTROLLERS
 from components.data.dataset import OfflineDataset
 from components.data.sources.industrial_collection import Log, collect
+from components.data.sources.ranges import check_exploration_and_discount
 from components.environments import INDUSTRIAL_BENCHMARK_ID
 from components.environments.frame_history import HISTORY_LENGTH
 from components.environments.industrial.benchmark import DYNAMICS, FRAME_FEATURES, STEERINGS
@@ -52,8 +53,7 @@ class IndustrialSpec:
         if self.controller not in CONTROLLERS:
             known = ", ".join(CONTROLLERS)
             raise ValueError(f"unknown controller {self.controller!r}; known are {known}.")
-        if not 0.0 <= self.epsilon <= 1.0:
-            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        check_exploration_and_discount(self.epsilon, self.discount)
         if not 0.0 <= self.setpoint <= 100.0:
             raise ValueError(f"setpoint is {self.setpoint}; give a number from 0 to 100.")
         if self.trajectories < 1 or self.steps < 1:
@@ -61,8 +61,6 @@ class IndustrialSpec:
                 f"{self.trajectories} trajectories of {self.steps} steps make no dataset; "
                 "both must be at least 1."
             )
-        if not 0.0 < self.discount <= 1.0:
-            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
 
     @property
     def identity(self) -> Mapping[str, Any]:

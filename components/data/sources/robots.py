@@ -19,6 +19,7 @@ from components.core.random_streams import lane_key
 from components.data.assembly import assemble
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.data.dataset import OfflineDataset
+from components.data.sources.ranges import check_exploration_and_discount
 from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
@@ -62,8 +63,7 @@ class RobotSpec:
         ):
             if value not in known:
                 raise ValueError(f"unknown {what} {value!r}; known are {', '.join(known)}.")
-        if not 0.0 <= self.epsilon <= 1.0:
-            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        check_exploration_and_discount(self.epsilon, self.discount)
         if self.noise < 0.0:
             raise ValueError(f"noise is {self.noise}; give a number from 0.")
         if self.transitions < 1 or self.steps < 1:
@@ -71,8 +71,6 @@ class RobotSpec:
                 f"{self.transitions} transitions in episodes of {self.steps} steps make no "
                 "dataset; both must be at least 1."
             )
-        if not 0.0 < self.discount <= 1.0:
-            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
 
     @property
     def identity(self) -> Mapping[str, Any]:

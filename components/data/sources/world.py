@@ -14,6 +14,7 @@ from components.core.random_streams import lane_generator, lane_key
 from components.data.assembly import assemble
 from components.data.controllers.world import to_nearest
 from components.data.dataset import OfflineDataset
+from components.data.sources.ranges import check_exploration_and_discount
 from components.environments.systems import WORLD
 from components.environments.world.plane import COORDINATES, STEPS, Plane
 
@@ -48,15 +49,12 @@ class WorldSpec:
     def __post_init__(self) -> None:
         if not self.goals:
             raise ValueError("goals is empty; give at least one point.")
-        if not 0.0 <= self.epsilon <= 1.0:
-            raise ValueError(f"epsilon is {self.epsilon}; give a number from 0 to 1.")
+        check_exploration_and_discount(self.epsilon, self.discount)
         if self.episodes < 2 or self.length < 1:
             raise ValueError(
                 f"{self.episodes} episodes of {self.length} steps make no dataset; give two "
                 "episodes of a step at least."
             )
-        if not 0.0 < self.discount <= 1.0:
-            raise ValueError(f"discount is {self.discount}; give a number above 0, at most 1.")
 
     @property
     def identity(self) -> Mapping[str, Any]:

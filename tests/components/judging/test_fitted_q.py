@@ -1,5 +1,6 @@
 """Fitted Q evaluation on logs whose values are known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,18 @@ def test_a_constant_reward_gives_its_discounted_sum() -> None:
     # Rewards without their mean are zero, and so are their critics, but for the initial weights,
     # whose trace the last batches decide: some hundredths of the deviation, which is 1 here.
     assert evaluated(log).numpy() == pytest.approx(-2 * horizon_sum(log), abs=0.1)
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_without_a_discount_values_are_finite(ends: bool) -> None:
+    rewards = np.abs(LOG.actions[:, 0])  # none below 0: that times infinity would be undefined
+    terminated = LOG.truncated if ends else LOG.terminated
+    log = relabelled(
+        LOG, rewards=rewards, terminated=terminated, truncated=LOG.truncated & ~terminated
+    )
+    log = replace(log, card=replace(log.card, discount=1.0))
+    config = JudgeConfig(hidden=(8,), batch=16, updates=20)
+    assert evaluated(log, config=config).isfinite().all()
 
 
 def test_policies_are_told_apart_by_what_their_actions_earn() -> None:
