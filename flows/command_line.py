@@ -25,10 +25,11 @@ from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display, duration
+from flows.pipeline.remote.places import address_of
+from flows.pipeline.remote.shared_store import store_at
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.signals import ignored_signals
-from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.board import Board
 from flows.pipeline.tracking.board_tracker import BoardTracker
@@ -136,6 +137,7 @@ def make_executor(settings: Settings) -> Executor:
         gpus=torch.cuda.device_count() if device == "cuda" else 0,
         gpus_per_task=runner.gpu_share,
         root=settings.store.absolute(),
+        url=address_of(settings.store),
         precision=runner.precision,
     )
 
@@ -183,11 +185,12 @@ def run_sweep(
         SettingsError: This computer cannot do it, or it takes longer than a year.
     """
     limit = Limit(settings.runner.max_hours, settings.runner.until)
-    store = ArtifactStore(settings.store, create=not settings.dry_run)
+    store = store_at(settings.store, create=not settings.dry_run, drives=not settings.dry_run)
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
-    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
+    where = address_of(settings.store) or str(settings.store)
+    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(where)}/")
     for sentence in filter(None, (about, limit.sentence)):
         display.note(sentence)
     repairs = settings.runner.repair == "recompute"
@@ -228,7 +231,7 @@ def run_sweep(
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}
-    with store_in_use(store), ExitStack() as told:
+    with store_in_use(store), store.driven(name), ExitStack() as told:
         try:
             tracker.open(name, tags, params, plan)
             driver = told.enter_context(driving(store, name, command, limit.reached, str(limit)))

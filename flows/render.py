@@ -12,8 +12,9 @@ from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE, film, pictures_per_second
 from components.policies.policy import Policy
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy
 from flows.video import video
@@ -48,7 +49,7 @@ class RenderSettings(StrictModel):
     steps: int = Field(default=1000, ge=1)
     seed: int = Field(default=0, ge=0)
     size: int = Field(default=480, ge=16, multiple_of=16)  # blocks of video codecs
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
 
 
 def load_render_settings(words: Sequence[str]) -> RenderSettings:
@@ -95,6 +96,7 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
 
 
 def _run(settings: RenderSettings) -> int:
+    bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     card = DatasetCard.load(store.path(record["inputs"]["dataset"]) / "dataset" / "card.json")
