@@ -11,7 +11,6 @@ from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.planning.cells import cells_line
 from flows.report.leaderboard import Leaderboard
-from flows.report.report import write_report
 
 HELP = f"""\
 usage: python -m flows.full_benchmark [KEY=VALUE ...]
@@ -58,6 +57,8 @@ def _run(settings: Settings) -> int:
     board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
+        from flows.report.report import write_report  # figures are slow to import
+
         seeds = len(settings.seeds)
         about = f"profile {settings.profile_name}, {seeds} {'seed' if seeds == 1 else 'seeds'}"
         written = write_report(folder, plan, ArtifactStore(settings.store), about)
