@@ -42,7 +42,8 @@ give the same command again.
   judging.held_out=0.3            share of a log's episodes that judges learn from and policies not
   judging.snapshots=1             last policies of a run that are judged
   aggregation.pool_fraction=0.1   last share of the snapshots that enters the table
-  runner.stack=pair               or 2: one program for so many datasets; or algorithm: for all
+  pack=auto                       what one program trains: none, a policy; pair, the seeds of a
+                                  dataset and algorithm; 2, of two datasets; algorithm, of all
 {COMMON_HELP}"""
 
 

@@ -122,7 +122,7 @@ def test_another_simulator_than_the_planned_one_is_refused(
 
 
 def test_robots_of_different_shapes_are_no_lanes_of_one_stack(planned: Settings) -> None:
-    runner = planned.runner.model_copy(update={"stack": "algorithm"})
+    runner = planned.runner.model_copy(update={"pack": "algorithm"})
     plan = benchmark_plan(planned.model_copy(update={"runner": runner}))
     lanes: dict[str, set[str]] = {}
     for node in plan:
