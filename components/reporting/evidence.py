@@ -13,7 +13,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from components.aggregation.across import Estimate, Ranks
-from components.reporting.overview import Column, Overview, Thesis
+from components.reporting.overview import Column, Overview
+from components.reporting.thesis_numbers import Thesis
 
 __all__ = ["Across", "Cell", "Evidence", "Gap", "Log"]
 
