@@ -15,7 +15,7 @@ where both episodes of a pair begin alike and s is the deviation of all 2 N retu
 This uses the real system, as the training before it does: an expert is part of data generation.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
