@@ -37,6 +37,7 @@ from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
 from flows.planning.memory import check_capacity, needs, total_memory
+from flows.planning.packing import chosen_device
 
 __all__ = [
     "COMMON_HELP",
@@ -121,12 +122,7 @@ def make_executor(settings: Settings) -> Executor:
         ValueError: There is no such device here.
         PipelineError: A task would take more processors than there are.
     """
-    runner = settings.runner
-    device = runner.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    elif device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
+    runner, device = settings.runner, chosen_device(settings)
     if runner.executor == "serial":
         check_threads(runner.threads, min(available_cpus(), runner.cpus or available_cpus()))
         return SerialExecutor(device=device, threads=runner.threads, precision=runner.precision)

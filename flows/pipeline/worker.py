@@ -12,9 +12,15 @@ from typing import Any
 from components.core.integrity import DamagedFileError, damaged_path, load_json
 from components.core.sealed import content_digest, seal
 from components.core.version import code_version
-from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
+from flows.pipeline.computer import (
+    cpu_seconds,
+    hardware,
+    release_memory,
+    set_precision,
+    software,
+)
 from flows.pipeline.costs import RULES
-from flows.pipeline.failures import failure_reason
+from flows.pipeline.failures import failure_reason, ran_out_of_memory
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work
 from flows.pipeline.task import (
@@ -103,6 +109,7 @@ class GroupResult:
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
         stopped: Keys whose computation the driver has stopped, for good or at a checkpoint.
+        too_many: Keys of a call that ran out of memory; fewer at once may have room.
         damaged: Why an input could not be read, by its key.
         notes: What people should know, a sentence each.
     """
@@ -111,6 +118,7 @@ class GroupResult:
     finished: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
     stopped: list[str] = field(default_factory=list)
+    too_many: list[str] = field(default_factory=list)
     damaged: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -132,20 +140,28 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
         with store.locked(keys):
             store.fetch({*keys, *(key for node in call.nodes for key in node["inputs"].values())})
             # Another driver, or a worker of a killed one, may have finished some in the meantime.
-            for work in store.work_folders():
-                if store.unfinished(work) & set(keys):
-                    store.publish_ready(work)
+            works = [work for work in store.work_folders() if store.unfinished(work) & set(keys)]
+            for work in works:
+                store.publish_ready(work)
             pending = [node for node in call.nodes if not _is_finished(store, call, node, result)]
             if pending and store.pause_file(call.group).exists():
                 result.stopped = [node["key"] for node in pending]
             elif pending:
                 _compute(store, call, pending, result, watch)
+            for work in works:  # one begun for more nodes may have served its last
+                if not store.unfinished(work):
+                    store.discard(work)
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
-        reason = failure_reason(error, store.root)
-        result.failed.update({key: reason for key in keys if not store.complete(key)})
-    unmade = {*result.failed, *result.stopped}
+        left = [key for key in keys if not store.complete(key)]
+        if ran_out_of_memory(error) and len(left) > 1:
+            result.too_many = left
+        else:
+            result.failed.update(dict.fromkeys(left, failure_reason(error, store.root)))
+    if result.too_many:
+        release_memory()  # now that the error, which held what the task had made, is gone
+    unmade = {*result.failed, *result.stopped, *result.too_many}
     result.finished = [key for key in keys if key not in unmade and store.complete(key)]
     return result
 

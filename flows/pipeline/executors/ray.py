@@ -196,6 +196,8 @@ class RayExecutor:
                 )
                 self._begin(call, deaths + 1)
                 return None
+            if memory and len(call.nodes) > 1:
+                return GroupResult(call.group, too_many=[node["key"] for node in call.nodes])
             remedy = (
                 "lower runner.cpus, so that fewer tasks run at once, or the batch"
                 if memory
