@@ -51,6 +51,7 @@ __all__ = [
     "run_door",
     "run_sweep",
     "show_or_do",
+    "store_word",
     "window_width",
 ]
 
@@ -61,7 +62,8 @@ COMMON_HELP = """\
   sweep=NAME                      name of the sweep in the tracker and in STORE/reports
   max_hours=8                     stop cleanly after so many hours; the same command goes on
   until=07:00                     likewise at this time of day
-  store=mlruns                    folder of everything that is kept
+  store=mlruns                    folder of everything that is kept, or its URL, e.g.
+                                  s3://bucket/prefix: machines need no common disk then
   runner.executor=ray             or serial: everything in this process, for debugging
   runner.tracker=mlflow           or file: JSON lines in STORE/tracking; or none
   runner.cpus=2                   processors to use; all by default
@@ -185,8 +187,7 @@ def run_sweep(
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
-    where = address_of(settings.store) or str(settings.store)
-    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(where)}/")
+    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(store_word(settings))}/")
     for sentence in filter(None, (about, limit.sentence)):
         display.note(sentence)
     repairs = settings.runner.repair == "recompute"
@@ -272,6 +273,11 @@ def check_store(folder: Path) -> None:
         raise SettingsError(
             f"store={folder}: {nearest} may not be written; name a folder that may."
         )
+
+
+def store_word(settings: Settings) -> str:
+    """What store= was given."""
+    return address_of(settings.store) or str(settings.store)
 
 
 def command_words() -> list[str]:

@@ -42,7 +42,7 @@ def check_admission(ray: Any, address: str) -> None:
         return
     ours = {"ray_version": ray.__version__, "python_version": platform.python_version()}
     names = {"ray_version": "Ray", "python_version": "Python"}
-    other = [name for name in ours if described.get(name, ours[name]) != ours[name]]
+    other = [n for n in ours if _compared(described.get(n, ours[n])) != _compared(ours[n])]
     if other:
         theirs = " and ".join(f"{names[name]} {described[name]}" for name in other)
         here = " and ".join(f"{names[name]} {ours[name]}" for name in other)
@@ -50,6 +50,12 @@ def check_admission(ray: Any, address: str) -> None:
             f"The cluster at RAY_ADDRESS={address} runs {theirs}, this command {here}: start it "
             "from the same versions on the cluster, or use an environment with the cluster's."
         )
+
+
+def _compared(version: str) -> str:
+    """The part of a version in which Ray wants two to agree."""
+    whole = os.environ.get("RAY_DEFAULT_PYTHON_VERSION_MATCH_LEVEL", "patch") == "patch"
+    return version if whole else ".".join(version.split(".")[:2])
 
 
 def _described(ray: Any, address: str) -> Mapping[str, Any]:
