@@ -52,10 +52,11 @@ def stop(words: SweepWords) -> int:
     if driver is None or not ask_to_stop(store.root, driver, time.time()):
         raise SettingsError(f"No driver of sweep {record.name} runs; there is nothing to stop.")
     store.send_requests()
+    word = address_of(words.store) or words.store
     print(
         f"The driver of sweep {record.name} on {driver.host} (process {driver.pid}) is asked to "
         f"stop; it does so within {PATIENCE:.0f} seconds.\nLook: python -m flows.status "
-        f"sweep={record.name} store={address_of(words.store) or words.store} --watch\nContinue with: {driver.command}"
+        f"sweep={record.name} store={word} --watch\nContinue with: {driver.command}"
     )
     return 0
 
