@@ -14,7 +14,7 @@ import pytest
 
 from flows.pipeline.plan import Plan
 from flows.pipeline.remote.objects import Objects
-from flows.pipeline.remote.places import CACHE, copy_of
+from flows.pipeline.remote.places import CACHE
 from flows.pipeline.remote.shared_store import SharedStore
 from tests.conftest import ROOT
 from tests.flows.pipeline.remote.apart_driver import HOLD
@@ -43,9 +43,10 @@ class Machines:
         self._machines: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, name: str) -> None:
-        """Starts a machine with a working folder and a copy of its own."""
+        """Starts a machine with a working folder and a copy of its own, and waits for it."""
         folder = self._home / name
         folder.mkdir()
+        told = folder / "told"
         port = self.address.rpartition(":")[2]
         words = ["--address", self.address]
         if not self._machines:
@@ -53,13 +54,15 @@ class Machines:
             words += ["--temp-dir", str(self._home / "r")]
         words += ["--node-ip-address", "127.0.0.1", "--num-cpus", "1"]
         words += ["--object-store-memory", str(100 * 2**20)]
-        self._machines[name] = subprocess.Popen(
-            [Path(sys.executable).with_name("ray"), "start", "--block", *words],
-            cwd=folder,
-            env=self.environment | {"HOME": str(folder), CACHE: str(folder / "cache")},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        with told.open("wb") as out:
+            self._machines[name] = subprocess.Popen(
+                [Path(sys.executable).with_name("ray"), "start", "--block", *words],
+                cwd=folder,
+                env=self.environment | {"HOME": str(folder), CACHE: str(folder / "cache")},
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+        wait_for(lambda: b"Ray runtime started" in told.read_bytes(), f"the machine {name}")
 
     def kill(self, name: str) -> None:
         """Ends all processes of a machine at once, as a power cut does."""
@@ -68,11 +71,6 @@ class Machines:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
         machine.wait()
-
-    def wait(self, number: int) -> None:
-        """Waits until so many machines are there."""
-        count = "import ray; ray.init(logging_level=40); print(len(ray.nodes()))"
-        wait_for(lambda: self.run("-c", count).stdout.strip() == str(number), "the machines")
 
     def run(self, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
         """Runs Python on the driver's machine."""
@@ -127,9 +125,7 @@ def test_what_a_machine_had_begun_goes_on_where_nothing_is_shared(
     """One start of two machines for all of this: starting them takes seconds."""
     url = bucket(s3, monkeypatch)
     machines.start("first")
-    machines.wait(1)
     machines.start("second")
-    machines.wait(2)
     driver = machines.begin("-m", "tests.flows.pipeline.remote.apart_driver", url, str(log))
     wait_for(lambda: driver.poll() is not None or counted(log, "holding") >= 2, "both groups")
 
@@ -196,4 +192,3 @@ def _clusters_of_others(machines: Machines, url: str, log: Path) -> None:
     refused = machines.run(*words)
     said = refused.stderr.splitlines()[-1]
     assert f"RAY_ADDRESS={machines.address} runs Python 3.99.1, this command Python " in said
-    assert copy_of(url).parent.is_dir()
