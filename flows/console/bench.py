@@ -75,6 +75,18 @@ class Bench:
         known = SYSTEMS.get(self._operable.card.environment)
         return known is not None and known.drawable
 
+    @property
+    def system(self) -> tuple[str, dict[str, Any]]:
+        """Id and parameters of the system."""
+        card = self._operable.card
+        return card.environment, dict(card.environment_parameters)
+
+    def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions and velocities of the operated copy of a robot."""
+        plant: Any = self.session.plant
+        positions, velocities = plant.systems[0].state()
+        return positions[0], velocities[0]
+
     def turn(self, proximity: object) -> None:
         """Set the proximity to what a browser sent; what is no number in [0, 1] is ignored."""
         if isinstance(proximity, int | float) and 0 <= proximity <= 1:
@@ -165,7 +177,11 @@ def _strips(session: Session) -> list[Strip]:
 
     reward = Strip("reward", lambda step: step.rewards)
     if card.environment == WORLD.id:
-        return [reward]
+        return [
+            reward,
+            Strip("distance to the familiar action", lambda step: np.array([step.distance])),
+            Strip("distance to the log", lambda step: np.array([step.strangeness])),
+        ]
     if session.plant.real:
         names = [
             (number, name)

@@ -1,5 +1,6 @@
 """The page on which an operator turns the proximity while a machine runs."""
 
+import asyncio
 import time
 from functools import partial
 from pathlib import Path
@@ -38,6 +39,7 @@ class Operate:
     def __init__(self, catalogue: Catalogue, windows: Windows, sessions: Path) -> None:
         self._catalogue, self._windows, self._sessions = catalogue, windows, sessions
         self._bench: Bench | None = None
+        self._filming: Any = None
         self._rate = _USUAL_RATE
         self._next = 0.0
 
@@ -70,6 +72,7 @@ class Operate:
         if not self._windows.enter(ui.context.client):
             self._say("Too many windows are open; close one and load this page again.")
             return
+        ui.context.client.on_delete(self._close_camera)
         ui.timer(1 / max(_RATES), self._tick)
         first = asked or next(iter(offers), "")
         if first in offers:
@@ -123,6 +126,7 @@ class Operate:
 
     async def _chosen(self, event: ValueChangeEventArguments) -> None:
         self._bench = None
+        self._close_camera()
         self._say("Opening …")
         try:
             operable = await run.io_bound(self._catalogue.open, event.value)
@@ -149,12 +153,30 @@ class Operate:
         if not real:
             said.append("No system is known here: the policy is shown on recorded states.")
         if bench.drawable:
-            said.append(await self._windows.camera(bench, self._scene))
+            self._filming = self._film(bench)
         self._say(" ".join(filter(None, said)))
         session.proximity = float(self._slider.value or 0.0) if session.takes_proximity else 0.0
         self._bench = bench
         self._show_pause()
         self._turn_map()
+
+    def _film(self, bench: Bench) -> Any:
+        from flows.console.camera import Filming  # imports MuJoCo, which only robots need
+
+        loop = asyncio.get_running_loop()
+
+        def show(address: str) -> None:
+            loop.call_soon_threadsafe(self._scene.picture, address)
+
+        def fail(sentence: str) -> None:
+            loop.call_soon_threadsafe(self._say, sentence)
+
+        return Filming(bench, show, fail)
+
+    def _close_camera(self) -> None:
+        if self._filming is not None:
+            self._filming.close()
+        self._filming = None
 
     def _tick(self) -> None:
         bench, now = self._bench, time.monotonic()
@@ -170,7 +192,8 @@ class Operate:
         if session.driver == "autopilot":
             self._slider.value = round(session.proximity, 2)
             self._turn_map()
-        self._windows.look(bench, self._scene)
+        if self._filming is not None:
+            self._filming.look()
         self._show_numbers(bench)
         if bench.full:
             self._say(f"{MOST:,} steps are recorded; save the session, or reset it to go on.")
@@ -267,6 +290,6 @@ class Operate:
         if self._bench is not None:
             ui.download.content(self._bench.recording.table, "session.csv")
 
-    def _say(self, text: str, **_: Any) -> None:
+    def _say(self, text: str) -> None:
         self._said.text = text
         self._said.set_visibility(bool(text))

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 import uvicorn
 from fastapi import FastAPI
+from fastapi.responses import FileResponse, Response
 from nicegui import ui
 
 from flows.configuration.checking import SettingsError
@@ -22,6 +23,7 @@ HOST: Final = "127.0.0.1"
 _PREFERRED: Final = 8085
 _NAMES: Final = (HOST, "localhost")
 _RECONNECT: Final = 5.0  # seconds that a session waits for a browser that has lost its connection
+_SANDBOX: Final = ("Content-Security-Policy", "sandbox allow-scripts allow-popups")
 
 Scope = dict[str, Any]
 App = Callable[[Scope, Any, Any], Awaitable[None]]
@@ -95,6 +97,24 @@ def serve(own: socket.socket, store: Path, ready: Callable[[str], object]) -> No
     @ui.page("/", title="Operator's console")
     async def operate(policy: str = "") -> None:
         await Operate(catalogue, windows, store / "sessions").show(policy)
+
+    @ui.page("/sweep", title="Sweeps")
+    async def sweep(name: str = "") -> None:
+        from flows.console.sweep import Sweep  # whoever operates needs none of it
+        from flows.console.sweeps import Sweeps
+
+        await Sweep(Sweeps(store)).show(name)
+
+    @app.get("/document")
+    def document(name: str = "") -> Response:
+        from flows.console.sweeps import Sweeps
+
+        found = Sweeps(store).document(name)
+        if found is None:
+            return Response("There is no such document.", 404)
+        kind = "text/html" if found.suffix == ".html" else "text/plain"
+        # A page of its own: its scripts work, but cannot act on the console.
+        return FileResponse(found, media_type=kind, headers={_SANDBOX[0]: _SANDBOX[1]})
 
     @app.get("/windows")
     def count() -> dict[str, int]:

@@ -1,12 +1,10 @@
 """The open windows: how many there are, and what leaves with each."""
 
-from typing import Any, Final
+from typing import Final
 
 from nicegui import Client
 
 from components.operating.session import Pilot
-from flows.console.bench import Bench
-from flows.console.scene import Scene
 
 __all__ = ["Windows"]
 
@@ -33,10 +31,3 @@ class Windows:
     def pilot(self) -> Pilot | None:
         """An autopilot for a session; None where there is none."""
         return None
-
-    async def camera(self, bench: Bench, scene: Scene) -> str:
-        """Begin to film a robot; returns what to say if that is not possible."""
-        return ""
-
-    def look(self, bench: Bench, scene: Scene) -> None:
-        """Film a step, unless the camera is still busy with another one."""
