@@ -169,10 +169,9 @@ def replay(folder: Path, operable: Operable) -> int:
             session.restart()
         if session.plant.setpoint not in (None, row.setpoint):
             session.plant.demand(row.setpoint)
-        if row.driver == "behaviour":
-            session.driver = "behaviour"
-        else:
-            session.driver, session.proximity = "operator", row.proximity
+        session.proximity = row.proximity
+        # What a pilot chose is in the row, so that the policy at that proximity repeats it.
+        session.driver = "behaviour" if row.driver == "behaviour" else "operator"
         again.add(session.step(), row.driver)
     _compare(recorded.splitlines(), again.table.splitlines(), path)
     return again.steps

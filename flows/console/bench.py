@@ -1,7 +1,5 @@
 """What one window operates: a session, its recording, and whether it runs."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
@@ -14,26 +12,12 @@ from components.environments.world.plane import CENTRE, SIDE
 from components.operating.operable import Operable
 from components.operating.recording import Recording
 from components.operating.session import Pilot, Session, Step
+from components.operating.shown import goals_of, places_of_map, shown_of
 
-__all__ = ["Bench", "Strip"]
+__all__ = ["MOST", "Bench"]
 
 MOST: Final = 36_000
 """Steps of a recording: an hour at ten a second."""
-_ARROWS: Final = 13  # along a side of the map
-_STRIPS: Final = 7  # quantities shown at most
-
-
-@dataclass(frozen=True)
-class Strip:
-    """A quantity that is drawn over time, for both copies.
-
-    Attributes:
-        label: What it is.
-        of: Its two values in a step, the operated copy's first.
-    """
-
-    label: str
-    of: Callable[[Step], NDArray[np.float64]]
 
 
 class Bench:
@@ -60,7 +44,7 @@ class Bench:
         self.session = Session(operable, seed, pilot)
         self.recording = Recording(operable, policy, seed)
         self.running = True
-        self.strips = _strips(self.session)
+        self.strips = shown_of(self.session)
         self.last: Step | None = None
         self._map_of: float | None = None
 
@@ -113,7 +97,7 @@ class Bench:
         drawn: dict[str, Any] = {
             "fresh": done.episode != before,
             "proximity": round(done.proximity, 4),
-            "values": [[_round(v) for v in strip.of(done)] for strip in self.strips],
+            "values": [[_round(v) for v in of(done)] for _, of in self.strips],
         }
         if self.is_map:
             drawn["places"] = self.session.frames[:, :2].round(3).tolist()
@@ -125,14 +109,13 @@ class Bench:
         if not self.is_map or self._map_of == self.session.proximity:
             return None
         self._map_of = self.session.proximity
-        along = np.linspace(0.0, SIDE, _ARROWS)
-        places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+        places = places_of_map()
         actions = self.session.actions_at(places)
         return np.concatenate([places, actions], axis=1).round(3).tolist()
 
     def scenery(self) -> dict[str, Any]:
         """What the map shows beside policies."""
-        goals = self._goals() if self.is_map else []
+        goals = goals_of(self._operable)
         return {"map": self.is_map, "side": SIDE, "centre": list(CENTRE), "goals": goals}
 
     def save(self, folder: Path) -> Path:
@@ -144,55 +127,6 @@ class Bench:
             place = folder / f"{name}-{number}"
         self.recording.save(place)
         return place
-
-    def _goals(self) -> list[list[float]]:
-        """Where the behaviour comes to rest: its actions' fixed points, by following it."""
-        clone = self._operable.behaviour
-        if clone is None:
-            return []
-        import torch
-
-        along = np.linspace(0.0, SIDE, 5)
-        places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-        for _ in range(30):
-            seen = torch.from_numpy(places).float()[None, :, None]
-            places = places + clone.act(seen)[0].numpy()
-        found: list[list[float]] = []
-        for place in places:
-            if all(np.linalg.norm(place - other) > 1.0 for other in found):
-                found.append(place.round(2).tolist())
-        return found[:4]
-
-
-def _strips(session: Session) -> list[Strip]:
-    """The reward and, of a system, what changes in its frames; of recorded states, the actions."""
-    card = session.operable.card
-
-    def of_frame(column: int) -> Callable[[Step], NDArray[np.float64]]:
-        return lambda step: step.frames[:, column]
-
-    def of_action(column: int) -> Callable[[Step], NDArray[np.float64]]:
-        low, high = card.action_bounds[column] if card.action_bounds else (-1.0, 1.0)
-        return lambda step: low + (step.actions[:, column] + 1) / 2 * (high - low)
-
-    reward = Strip("reward", lambda step: step.rewards)
-    if card.environment == WORLD.id:
-        return [
-            reward,
-            Strip("distance to the familiar action", lambda step: np.array([step.distance])),
-            Strip("distance to the log", lambda step: np.array([step.strangeness])),
-        ]
-    if session.plant.real:
-        names = [
-            (number, name)
-            for number, name in enumerate(card.frame_features)
-            if name != "setpoint" or session.plant.setpoint is None
-        ]
-        frames = [Strip(name, of_frame(number)) for number, name in names]
-        return [*frames[: _STRIPS - 1], reward]
-    actions = [Strip(name, of_action(n)) for n, name in enumerate(card.action_features)]
-    frames = [Strip(name, of_frame(n)) for n, name in enumerate(card.frame_features)]
-    return [*actions, *frames][: _STRIPS - 1] + [reward]
 
 
 def _round(value: float) -> float | None:

@@ -140,7 +140,7 @@ class Operate:
             self._say(str(error))
             return
         session = bench.session
-        self._scene.show([strip.label for strip in bench.strips], bench.scenery())
+        self._scene.show([name for name, _ in bench.strips], bench.scenery())
         real = session.plant.real
         self._usual_name.text = (
             "━ the behaviour, same start and same noise" if real else "━ what was logged"
