@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("--store", default="mlruns", help="folder of the runs")
     parser.add_argument("--port", default=DEFAULT_PORT, type=_port, help="1 to 65535")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the server has to be ended, too
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _: sys.exit(128 + received))
     try:

@@ -45,7 +45,6 @@ class RefinementConfig:
     components: int = 32  # of the last hidden layer; all others stay as they are
     perturbation: float = 0.03  # nu, of the output before its tanh, per component
     step_size: float = 0.05  # alpha
-    horizon: int = 1000  # time limit of an episode, in steps
     evaluate_every: int = 10  # iterations
     episodes: int = 20  # of an evaluation
 
@@ -55,7 +54,7 @@ class RefinementConfig:
         Raises:
             ValueError: Naming the field and its range.
         """
-        counts = ("directions", "components", "horizon", "evaluate_every", "episodes")
+        counts = ("directions", "components", "evaluate_every", "episodes")
         if self.iterations < 0 or min(getattr(self, name) for name in counts) < 1:
             raise ValueError(f"iterations must not be negative, {', '.join(counts)} at least 1.")
         if self.iterations and self.evaluate_every > self.iterations:
@@ -75,14 +74,20 @@ class OutputSearch:
         key: Of all random numbers.
         policy: The expert, one lane, of ReLU layers and a tanh.
         make_robots: Makes the given number of copies of the robot.
+        horizon: Time limit of an episode, in steps.
     """
 
     lanes = 1
 
     def __init__(
-        self, config: RefinementConfig, key: int, policy: Policy, make_robots: MakeRobots
+        self,
+        config: RefinementConfig,
+        key: int,
+        policy: Policy,
+        make_robots: MakeRobots,
+        horizon: int,
     ) -> None:
-        self._config, self._key, self._policy = config, key, policy
+        self._config, self._key, self._policy, self._horizon = config, key, policy, horizon
         scaling = policy.frames
         self._mean, self._scale = scaling.mean.double().numpy(), scaling.scale.double().numpy()
         layers = [(w[0].double().numpy(), b[0].double().numpy()) for w, b in policy.layers]
@@ -138,7 +143,7 @@ class OutputSearch:
         """Returns of an episode per copy; so many copies in a row begin alike."""
         key = lane_key(self._key, name, step)
         starts = [lane_generator(key, copy // alike) for copy in range(robots.copies)]
-        returns: Array = episode_rewards(act, robots, starts, self._config.horizon).sum(axis=1)
+        returns: Array = episode_rewards(act, robots, starts, self._horizon).sum(axis=1)
         return returns
 
     def evaluate(self, done: int) -> float:
@@ -168,7 +173,7 @@ class OutputSearch:
         if deviation > 0:
             rate = config.step_size / (config.directions * deviation)
             self._theta = self._theta + rate * np.tensordot(gains, directions, axes=1)
-        return {"search/return": torch.tensor([returns.mean()])}
+        return {"search/return": torch.from_numpy(returns[None]).mean(dim=1)}
 
     # -- what is kept -----------------------------------------------------------------------
 
@@ -207,6 +212,7 @@ def refine(
     policy: Policy,
     make_robots: MakeRobots,
     *,
+    horizon: int,
     work: Path,
     progress: Callable[[float], None] = lambda fraction: None,
     save_every: float = 60.0,
@@ -219,6 +225,7 @@ def refine(
         member: Name of the search, stable across restarts.
         policy: The expert.
         make_robots: Makes copies of the robot.
+        horizon: Time limit of an episode, in steps.
         work: Folder that survives a kill; holds the checkpoint.
         progress: Called with the finished fraction, 0 to 1.
         save_every: Seconds between checkpoints.
@@ -226,10 +233,11 @@ def refine(
     Returns:
         The best policy, the mean return it had when it was evaluated, its iteration, the curves.
     """
-    search = OutputSearch(config, key, policy, make_robots)
+    search = OutputSearch(config, key, policy, make_robots, horizon)
 
     def evaluate(done: int, curves: Curves) -> bool:
-        curves.add(done, {"evaluation/return": torch.tensor([search.evaluate(done)])})
+        reached = torch.tensor([search.evaluate(done)], dtype=torch.float64)
+        curves.add(done, {"evaluation/return": reached})
         return False
 
     loop = TrainingLoop(
