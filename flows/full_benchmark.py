@@ -4,7 +4,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, main, run_sweep, window_width
+from flows.command_line import (
+    COMMON_HELP,
+    Metrics,
+    main,
+    run_sweep,
+    store_word,
+    window_width,
+)
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
@@ -67,7 +74,7 @@ def _run(settings: Settings) -> int:
             print(line)
         if not written.table.empty:
             print(f"\nAll numbers and figures: {folder}/")
-            print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
+            print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
         return written.files, written.headline
 
     about = cells_line(settings, plan)

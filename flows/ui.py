@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 from flows.pipeline.errors import TrackingError
+from flows.pipeline.remote.places import copy_of, is_address
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
@@ -32,7 +33,8 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _: sys.exit(128 + received))
     try:
-        address = StoreAddress(arguments.store)
+        given = arguments.store
+        address = StoreAddress(copy_of(given) if is_address(given) else given)
         if address.tracking.startswith(("http://", "https://")):
             server = without_secrets(address.tracking)
             print(f"MLFLOW_TRACKING_URI names a server; open {server} in a browser.")
@@ -43,7 +45,7 @@ def main() -> None:
                 "or make some first: python -m flows.full_benchmark profile=quick"
             )
         _serve(address, arguments.port)
-    except TrackingError as error:
+    except (TrackingError, ValueError) as error:
         print(f"ui: {error}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:

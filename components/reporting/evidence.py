@@ -53,6 +53,8 @@ class Cell:
         pooled: Last snapshots of every seed that are pooled.
         points: The stored statistics of every proximity.
         level: Mean return of the logged behaviour; None if it is counted otherwise.
+        configurations: ``[R]`` digests of all that decides a seed's training: the keys of its runs.
+        hardware: ``[R]`` what trained them.
     """
 
     dataset: str
@@ -65,6 +67,8 @@ class Cell:
     pooled: int
     points: Sequence[Mapping[str, Any]]
     level: float | None = None
+    configurations: Sequence[str] = ()
+    hardware: Sequence[str] = ()
 
     @property
     def adapts(self) -> bool:

@@ -222,22 +222,22 @@ class _Run:
         while len(self.running) <= self.executor.slots and (group := self.waiting.take()):
             self.running[group.name] = group
             self.store.clear_progress(group.name)
-            self.executor.submit(
-                GroupCall.of(
-                    group.name,
-                    self.store.root,
-                    group.nodes,
-                    self.executor.device,
-                    self.executor.threads,
-                    self.repairs,
-                    self.executor.precision,
-                )
+            call = GroupCall.of(
+                group.name,
+                self.store.root,
+                group.nodes,
+                self.executor.device,
+                self.executor.threads,
+                self.repairs,
+                self.executor.precision,
             )
+            self.executor.submit(self.store.sent(call))
             self.run_state.submitted(group.name)
 
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
         self.store.clear_progress(group.name)
+        self.store.fetch(group.keys)
         for sentence in result.notes:
             self.display.note(sentence)
         for key in [key for key in result.failed if self.store.complete(key)]:

@@ -49,6 +49,8 @@ class GroupCall:
         threads: Threads to use.
         precision: Of a GPU's products, see :func:`.computer.set_precision`.
         repairs: Whether damaged work is thrown away and begun anew; it fails otherwise.
+        url: Of a store that machines share; its copy here takes the place of `root`.
+        owner: The driver, for which nodes of such a store are claimed.
     """
 
     group: str
@@ -59,6 +61,8 @@ class GroupCall:
     threads: int = 1
     repairs: bool = True
     precision: str = "highest"
+    url: str = ""
+    owner: str = ""
 
     @classmethod
     def of(
@@ -129,11 +133,12 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
         watch: Called at every report, see :class:`flows.pipeline.task.TaskContext`.
     """
     os.environ["OMP_NUM_THREADS"] = str(call.threads)
-    store = ArtifactStore(call.root, create=False)
+    store = _store_of(call)
     keys = [node["key"] for node in call.nodes]
     result = GroupResult(call.group)
     try:
         with store.locked(keys):
+            store.fetch({*keys, *(key for node in call.nodes for key in node["inputs"].values())})
             # Another driver, or a worker of a killed one, may have finished some in the meantime.
             works = [work for work in store.work_folders() if store.unfinished(work) & set(keys)]
             for work in works:
@@ -159,6 +164,16 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
     unmade = {*result.failed, *result.stopped, *result.too_many}
     result.finished = [key for key in keys if key not in unmade and store.complete(key)]
     return result
+
+
+def _store_of(call: GroupCall) -> ArtifactStore:
+    if not call.url:
+        return ArtifactStore(call.root, create=False)
+    from flows.pipeline.remote.shared_store import SharedStore  # most workers do without fsspec
+
+    store = SharedStore(call.url, call.owner)
+    store.forget_requests(call.group)
+    return store
 
 
 def _is_finished(
@@ -198,6 +213,7 @@ def _compute(
     if result.damaged:
         return
     keys = [node["key"] for node in nodes]
+    store.begin(keys)
     work = store.open_work(keys)
     try:
         _make(store, call, nodes, work, content, result, watch)
@@ -250,7 +266,8 @@ def _make(
     context.begin()
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
-        task(jobs, context)
+        with store.carrying(call.group, work):
+            task(jobs, context)
     except PauseRequested:
         result.stopped = keys
         return
@@ -289,7 +306,7 @@ def _make(
 
 def _job(store: ArtifactStore, work: Work, node: Mapping[str, Any]) -> Job:
     inputs = {role: store.path(key) for role, key in node["inputs"].items()}
-    inputs |= {role: Path(folder) for role, folder in node["folders"].items()}
+    inputs |= {role: store.folder(named) for role, named in node["folders"].items()}
     return Job(node["key"], node["name"], dict(node["config"]), inputs, work.out(node["key"]))
 
 
