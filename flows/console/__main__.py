@@ -14,9 +14,10 @@ __all__ = ["ConsoleSettings", "load_console_settings", "run"]
 HELP = """\
 usage: python -m flows.console [KEY=VALUE ...]
 
-Open the operator's console: choose a policy, turn its proximity with a slider while the machine runs
-and watch what it does beside the logged behaviour; or look at a sweep. A turbine and the 2-D world
-are shipped, so nothing has to be trained. The server listens on 127.0.0.1 alone, until Ctrl-C.
+Open the operator's console: choose a policy, turn its proximity with a slider while the machine
+runs and watch what it does beside the logged behaviour; or look at a sweep. A turbine and the 2-D
+world are shipped, so nothing has to be trained. The server listens on 127.0.0.1 alone, until
+Ctrl-C.
 
   store=mlruns   folder of the runs, whose policies are offered and whose sweeps are shown; sessions
                  are saved below its sessions/

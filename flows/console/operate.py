@@ -64,10 +64,10 @@ class Operate:
             self._warning = ui.label().classes("warning").mark("warning")
             self._warning.set_visibility(False)
             self._gauges()
+            self._buttons()
             with card():
                 self._scene = Scene([], {"map": False, "goals": [], "centre": [0, 0], "side": 1})
                 self._legend()
-            self._buttons()
         await ui.context.client.connected()
         if not self._windows.enter(ui.context.client):
             self._say("Too many windows are open; close one and load this page again.")
@@ -94,16 +94,18 @@ class Operate:
 
     def _gauges(self) -> None:
         with ui.element("div").classes("gauges"):
-            self._own = number("reward so far, this policy", "own")
-            self._usual = number("reward so far, behaviour beside it", "usual")
-            self._better = number("per step above the behaviour", "")
-            self._distance = number("distance to the familiar action", "")
+            self._own = number("reward so far: this policy", "own")
+            self._usual = number("reward so far: behaviour", "usual")
+            self._better = number("gain per step", "")
+            self._distance = number("action: distance to the familiar", "")
             self._strange = number("state: distance to the log", "")
 
     def _legend(self) -> None:
         with ui.row().classes("legend gap-4"):
             self._own_name = ui.label("━ this policy").classes("own")
-            self._usual_name = ui.label("━ the behaviour, same start and same noise").classes("usual")
+            self._usual_name = ui.label("━ the behaviour, same start and same noise").classes(
+                "usual"
+            )
             self._clock = ui.label("").classes("clock").mark("clock")
 
     def _buttons(self) -> None:
