@@ -1,4 +1,4 @@
-"""Put a stored policy into a folder for the console: ``python -m flows.pack_policy run=ID to=F``."""
+"""Put a stored policy into a folder for the console: ``python -m flows.pack_policy run=ID``."""
 
 import shutil
 from collections.abc import Sequence
