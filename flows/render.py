@@ -15,8 +15,9 @@ from components.operating.operable import SHIPPED, Operable, newest, shipped_nam
 from components.operating.session import Session
 from components.policies.policy import Policy, PolicyCard
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy, open_operable
 from flows.video import video
@@ -57,7 +58,7 @@ class RenderSettings(StrictModel):
     steps: int | None = Field(default=None, ge=1)
     seed: int = Field(default=0, ge=0)
     size: int = Field(default=480, ge=16, multiple_of=16)  # blocks of video codecs
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
     last_proximity: float | None = Field(default=None, ge=0, le=1)
 
     def proximity_at(self, step: int, steps: int) -> float | None:
@@ -128,6 +129,7 @@ def _check_proximity(card: PolicyCard, settings: RenderSettings) -> None:
 def _run(settings: RenderSettings) -> int:
     if settings.run in shipped_names():
         return _film_session(settings, Operable.load(SHIPPED / settings.run), settings.run)
+    bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     card = DatasetCard.load(store.path(record["inputs"]["dataset"]) / "dataset" / "card.json")

@@ -26,7 +26,7 @@ from torch import Tensor
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.learner import LearnerInputs, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
-from components.algorithms.parts.virtual_returns import TRANSITIONS, VirtualReturns
+from components.algorithms.parts.virtual_returns import AGGREGATIONS, TRANSITIONS, VirtualReturns
 from components.core.draws import Beta, Draw
 from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
@@ -56,6 +56,7 @@ class Config:
     start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
     return_scale: float | None = option(None)  # by which returns are divided; None: by the log's
     transition: str = option(TRANSITIONS[0])  # or deterministic_ensemble, which has no memory
+    aggregation: str = option(AGGREGATIONS[0])  # of the members; or mean, single (figure 6.11)
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -69,6 +70,8 @@ class Config:
             raise ValueError("learning_rate and beta must be positive and eta not negative.")
         if self.transition not in TRANSITIONS:
             raise ValueError(f"transition must be one of {', '.join(TRANSITIONS)}.")
+        if self.aggregation not in AGGREGATIONS:
+            raise ValueError(f"aggregation must be one of {', '.join(AGGREGATIONS)}.")
         if self.return_scale is not None and self.return_scale <= 0:
             raise ValueError("return_scale must be positive, or null for the log's mean return.")
 
@@ -85,7 +88,12 @@ class Learner(StackedLearner):
         behaviours = inputs.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
         self._returns = VirtualReturns(
-            inputs, config.horizon, config.discount, config.transition, config.return_scale
+            inputs,
+            config.horizon,
+            config.discount,
+            config.transition,
+            config.return_scale,
+            config.aggregation,
         )
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)

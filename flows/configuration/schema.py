@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ValidationInfo, field_validator, model_val
 
 from components.data.sources.source import SOURCE_FIELDS, DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.composition import DEVIATIONS
 from flows.configuration.defaults import ALGORITHM_CONFIGS
 from flows.configuration.files import CONF
@@ -51,12 +51,6 @@ def _penalties(chosen: Any) -> tuple[float, ...] | None:
     if not all(0 <= p < math.inf for p in penalties):
         raise SettingsError(f"mopo_penalties={chosen} must hold finite numbers from 0.")
     return tuple(map(float, penalties))
-
-
-def _folder(store: Any) -> Any:
-    if store == "":
-        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
-    return store
 
 
 def _sweep_name(name: Any) -> Any:
@@ -119,7 +113,7 @@ class Settings(StrictModel):
     judging: JudgingSettings
     experts: ExpertsSettings
     runner: RunnerSettings
-    store: Annotated[Path, BeforeValidator(_folder)]
+    store: StoreFolder
     dry_run: bool
     yes: bool
     show_settings: bool

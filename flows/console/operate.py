@@ -134,7 +134,7 @@ class Operate:
             operable = await run.io_bound(self._catalogue.open, event.value)
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
-            bench = Bench(operable, event.value, pilot=self._windows.pilot())
+            bench = Bench(operable, event.value)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -194,6 +194,8 @@ class Operate:
         if session.driver == "autopilot":
             self._slider.value = round(session.proximity, 2)
             self._turn_map()
+            if bench.pilot is not None:
+                self._say(bench.pilot.said)
         if self._filming is not None:
             self._filming.look()
         self._show_numbers(bench)
@@ -236,6 +238,8 @@ class Operate:
     def _driver(self, event: ValueChangeEventArguments) -> None:
         if self._bench is not None and event.value in self._bench.session.drivers:
             self._bench.session.driver = event.value
+            self._slider.set_enabled(event.value == "operator")
+            self._say("")
             if event.value == "operator":
                 self._bench.turn(self._slider.value)
                 self._turn_map()

@@ -4,8 +4,6 @@ from typing import Final
 
 from nicegui import Client
 
-from components.operating.session import Pilot
-
 __all__ = ["Windows"]
 
 _MOST: Final = 20
@@ -28,6 +26,3 @@ class Windows:
         client.on_delete(lambda: self._open.discard(client.id))
         return True
 
-    def pilot(self) -> Pilot | None:
-        """An autopilot for a session; None where there is none."""
-        return None

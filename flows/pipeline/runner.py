@@ -17,7 +17,7 @@ from flows.pipeline.progress import Display
 from flows.pipeline.recording import Recorder
 from flows.pipeline.repair import Repairs
 from flows.pipeline.run_state import RunState
-from flows.pipeline.schedule import Group, form_groups
+from flows.pipeline.schedule import Group, form_groups, halved
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
@@ -228,22 +228,22 @@ class _Run:
             del self.waiting[group.name]
             self.running[group.name] = group
             self.store.clear_progress(group.name)
-            self.executor.submit(
-                GroupCall.of(
-                    group.name,
-                    self.store.root,
-                    group.nodes,
-                    self.executor.device,
-                    self.executor.threads,
-                    self.repairs,
-                    self.executor.precision,
-                )
+            call = GroupCall.of(
+                group.name,
+                self.store.root,
+                group.nodes,
+                self.executor.device,
+                self.executor.threads,
+                self.repairs,
+                self.executor.precision,
             )
+            self.executor.submit(self.store.sent(call))
             self.run_state.submitted(group.name)
 
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
         self.store.clear_progress(group.name)
+        self.store.fetch(group.keys)
         for sentence in result.notes:
             self.display.note(sentence)
         for key in [key for key in result.failed if self.store.complete(key)]:
@@ -254,7 +254,7 @@ class _Run:
         for key in [key for key in result.finished if not self.store.complete(key)]:
             why[key] = f"{self.store.path(key)} was damaged when it had just been made"
             result.finished.remove(key)
-        ended = {*result.finished, *result.failed, *result.stopped}
+        ended = {*result.finished, *result.failed, *result.stopped, *result.too_many}
         left = [key for key in group.keys if key not in ended]
         if why and self.repairs:
             self.suspects |= why
@@ -265,6 +265,8 @@ class _Run:
         if result.stopped and not self.stop.why:
             self.waiting[group.name] = group  # another driver's stop: both compute this group
         self.run_state.ended(group.name, result)
+        if result.too_many:
+            self._halve(group, result.too_many)
         self.outcome.finished += result.finished
         self.new |= set(result.finished)
         records: list[tuple[Node, str | None]] = [(self.plan[k], None) for k in result.finished]
@@ -272,6 +274,17 @@ class _Run:
             records.append((self.plan[key], reason))
             self._fail(key, reason)
         return records
+
+    def _halve(self, group: Group, keys: Sequence[str]) -> None:
+        """Computes nodes for which there was no room together in two parts."""
+        halves = halved(group, keys, self.waiting.values())
+        self.waiting |= {half.name: half for half in halves}
+        self.run_state.add(halves)
+        memory = "The GPU's memory" if self.executor.device == "cuda" else "Memory"
+        self.display.note(
+            f"{memory} ran out with {len(keys)} lanes, {group.nodes[0].name} and others: going on "
+            f"with {' and '.join(str(len(half.nodes)) for half in halves)}."
+        )
 
     def _fail(self, key: str, reason: str) -> None:
         self.outcome.failed[key] = reason

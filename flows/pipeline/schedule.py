@@ -8,14 +8,14 @@ The estimate simulates the list schedule with the order that the runner uses.
 """
 
 import heapq
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["Group", "form_groups", "simulate_schedule"]
+__all__ = ["Group", "form_groups", "halved", "simulate_schedule"]
 
 _MANY = 10  # longest chains for each slot from which on results come early: a tenth more at worst
 
@@ -94,6 +94,28 @@ def form_groups(
     if slots is not None and sum(map(_cost, groups)) > _MANY * slots * longest:
         _results_early(groups)
     return groups
+
+
+def halved(group: Group, keys: Sequence[str], waiting: Iterable[Group]) -> list[Group]:
+    """Two groups in the place of one.
+
+    Args:
+        group: The one.
+        keys: Those of its nodes that are still to be computed, two at least.
+        waiting: Groups that may need it; from now on they need what has become of it.
+    """
+    nodes = [node for node in group.nodes if node.key in keys]
+    middle = len(nodes) // 2
+    halves = [
+        Group(digest(sorted(n.key for n in part)), part, set(), group.priority, group.early)
+        for part in (nodes[:middle], nodes[middle:])
+    ]
+    home = {key: half.name for half in halves for key in half.keys}
+    for other in waiting:
+        if group.name in other.needs:
+            sources = (source.key for node in other.nodes for source in node.inputs.values())
+            other.needs = other.needs - {group.name} | {home[k] for k in sources if k in home}
+    return halves
 
 
 def _in_order(groups: list[Group]) -> list[Group]:

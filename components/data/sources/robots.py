@@ -10,7 +10,7 @@ Episodes end with a fall, which is terminal, or by time-out, which is not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,10 @@ from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.data.dataset import OfflineDataset
 from components.data.sources.ranges import check_exploration_and_discount
 from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
-from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
+
+if TYPE_CHECKING:
+    from components.environments.mujoco.robots import Robots
 
 __all__ = ["RobotSpec"]
 
@@ -110,6 +112,8 @@ class RobotSpec:
             ValueError: the expert is damaged or was trained on another robot.
         """
         expert = self._expert()
+        from components.environments.mujoco.robots import Robots  # MuJoCo is slow to import
+
         robots = Robots(ROBOTS[self.robot], _COPIES, self.physics, threads)
         if expert.policy.card.features != tuple(robots.frame_features):
             raise ValueError(
@@ -139,7 +143,7 @@ class RobotSpec:
 
 
 def _assemble(
-    spec: RobotSpec, seed: int, expert: Expert, robots: Robots, episodes: Sequence[Episode]
+    spec: RobotSpec, seed: int, expert: Expert, robots: "Robots", episodes: Sequence[Episode]
 ) -> OfflineDataset:
     """Lay episodes of different lengths one after the other and write their card."""
     lengths = [episode.steps for episode in episodes]
