@@ -1,4 +1,4 @@
-"""The autopilot as the driver of a session: one trajectory after the other, each from a fresh start.
+"""The autopilot as the driver of a session: trajectory after trajectory, each from a fresh start.
 
 :class:`~components.evaluation.autopilot.Autopilot` decides at which proximity the next trajectory
 is safe; here a session's steps are put together to the trajectories that it is told of.
@@ -65,7 +65,7 @@ class Flying:
             self._land()
 
     def ended(self) -> None:
-        """The machine has ended, e.g. fallen; all later rewards are zero. Nothing if it had landed."""
+        """The machine has ended, e.g. fallen: all later rewards are zero."""
         if self._taken:
             self._land()
 

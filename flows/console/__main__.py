@@ -8,6 +8,7 @@ from pydantic import Field
 from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.overrides import split_word
 from flows.door import run_door
+from flows.pipeline.signals import exit_code
 
 __all__ = ["ConsoleSettings", "load_console_settings", "run"]
 
@@ -64,7 +65,10 @@ def run(settings: ConsoleSettings) -> int:
     from flows.console.server import bound, serve  # a web server, which a replay does not need
 
     own = bound(settings.port)
-    serve(own, settings.store, lambda address: print(f"Open {address} in a browser.", flush=True))
+    try:
+        serve(own, settings.store, lambda at: print(f"Open {at} in a browser.", flush=True))
+    except KeyboardInterrupt:  # the usual end, after which there is nothing to continue
+        return exit_code()
     return 0
 
 

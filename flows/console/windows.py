@@ -25,4 +25,3 @@ class Windows:
         self._open.add(client.id)
         client.on_delete(lambda: self._open.discard(client.id))
         return True
-
