@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from flows.studies import world
+from flows.studies import autopilot, dials, world
 from flows.studies.study import Study
 
 __all__ = ["STUDIES"]
 
 STUDIES: Final[Mapping[str, Study]] = MappingProxyType(
-    {study.name: study for study in (world.STUDY,)}
+    {study.name: study for study in (world.STUDY, autopilot.STUDY, dials.STUDY)}
 )
 """By name, in the order in which the door lists them."""
