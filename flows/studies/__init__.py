@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from flows.studies import choices, collapse, over_proximity, trade_offs, world
+from flows.studies import choices, collapse, online, over_proximity, trade_offs, world
 from flows.studies.study import Study
 
 __all__ = ["STUDIES"]
@@ -19,6 +19,7 @@ STUDIES: Final[Mapping[str, Study]] = MappingProxyType(
         study.name: study
         for study in (
             world.STUDY,
+            online.STUDY,
             collapse.STUDY,
             *trade_offs.STUDIES,
             *over_proximity.STUDIES,

@@ -345,8 +345,8 @@ def test_settings_are_varied_one_at_a_time() -> None:
         (["variants.lion.eta=0.1"], r"variants.lion.eta=0.1 must be a list of values, e.g. \["),
         (["variants.lion.eta=[]"], "must be a list of values"),
         (["variants.lion.eta=[-1]"], "variants.lion: .* eta not negative"),
-        (["variants.lion.etta=[1]"], "Unknown key 'etta'.* Did you mean 'eta'?"),
-        (["variants.lino.eta=[1]"], "Unknown key 'lino'.* Did you mean 'lion'?"),
+        (["variants.lion.etta=[1]"], "Unknown key 'variants.lion.etta'.* Did you mean 'eta'?"),
+        (["variants.lino.eta=[1]"], "Unknown key 'variants.lino'.* Did you mean 'lion'?"),
         (["algorithms=[bc]", "variants.lion.eta=[1]"], "lion is not among the algorithms; add it"),
     ],
 )
