@@ -13,7 +13,7 @@ from typing import Final
 import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
-from components.reporting.tables import thesis_numbers
+from components.reporting.thesis_numbers import thesis_numbers
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PAGES: Final = (

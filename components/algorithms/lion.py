@@ -30,7 +30,7 @@ from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
 from components.algorithms.parts.caution import MEASURES, check_caution
 from components.algorithms.parts.learner import LearnerInputs, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
-from components.algorithms.parts.virtual_returns import TRANSITIONS, VirtualReturns
+from components.algorithms.parts.virtual_returns import AGGREGATIONS, TRANSITIONS, VirtualReturns
 from components.core.draws import Beta, Draw
 from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
@@ -62,6 +62,7 @@ class Config:
     transition: str = option(TRANSITIONS[0])  # or deterministic_ensemble, which has no memory
     caution: float | None = option(None)  # price of leaving the log's support, in mean returns
     caution_by: str = option(MEASURES[0])  # or disagreement, of the members
+    aggregation: str = option(AGGREGATIONS[0])  # of the members; or mean, single (figure 6.11)
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -75,6 +76,8 @@ class Config:
             raise ValueError("learning_rate and beta must be positive and eta not negative.")
         if self.transition not in TRANSITIONS:
             raise ValueError(f"transition must be one of {', '.join(TRANSITIONS)}.")
+        if self.aggregation not in AGGREGATIONS:
+            raise ValueError(f"aggregation must be one of {', '.join(AGGREGATIONS)}.")
         if self.return_scale is not None and self.return_scale <= 0:
             raise ValueError("return_scale must be positive, or null for the log's mean return.")
         check_caution(self.caution, self.caution_by)
@@ -92,7 +95,12 @@ class Learner(StackedLearner):
         behaviours = inputs.fitted("behaviour_policy", Policy)
         self._behaviour = Policy.concatenate(behaviours[0].card, behaviours).to(device)
         self._returns = VirtualReturns(
-            inputs, config.horizon, config.discount, config.transition, config.return_scale
+            inputs,
+            config.horizon,
+            config.discount,
+            config.transition,
+            config.return_scale,
+            config.aggregation,
         )
         self._returns.be_cautious(
             config.caution,

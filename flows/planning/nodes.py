@@ -1,7 +1,7 @@
 """One node per component run: what decides its result, what it reads, what it costs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from components.algorithms import ALGORITHMS
@@ -15,6 +15,7 @@ from flows.configuration.checking import SettingsError
 from flows.configuration.schema import Settings
 from flows.pipeline.plan import Node, digest
 from flows.planning.costs import data_cost, data_sizes, evaluation_cost
+from flows.planning.packing import evaluated_together, trained_together
 
 __all__ = [
     "COMPONENTS",
@@ -72,20 +73,17 @@ class Variant:
 
 
 def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
-    """The variants of an algorithm: one, or one per value of the setting that is swept."""
-    config = settings.algorithm_on(dataset, algorithm)
-    if algorithm not in settings.variants:
-        return [Variant(algorithm, config, algorithm)]
-    name, chosen = settings.variants[algorithm]
-    return [
-        Variant(
-            algorithm,
-            replace(config, **{name: value}),
-            f"{algorithm}-{name}-{value:g}",
-            {name: f"{value:g}"},
-        )
-        for value in chosen
-    ]
+    """The variants of an algorithm: one, or one for each different configuration that is wanted."""
+    varied = settings.varied_on(dataset, algorithm)
+    if not varied:
+        return [Variant(algorithm, settings.algorithm_on(dataset, algorithm), algorithm)]
+    found: list[Variant] = []
+    for name, value, config in varied:
+        shown = f"{value:g}" if isinstance(value, int | float) else str(value)
+        if all(config != other.config for other in found):
+            label = f"{algorithm}-{name}-{shown}"
+            found.append(Variant(algorithm, config, label, {name: shown}))
+    return found
 
 
 def data_node(settings: Settings, name: str) -> Node:
@@ -174,19 +172,9 @@ def policy_node(
         },
         inputs={role: inputs[role] for role in ("dataset", *needs)},
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
-        lanes=f"train/{algorithm.name}/{kind}{_datasets_together(settings, dataset)}",
+        lanes=trained_together(settings, f"train/{algorithm.name}/{kind}", dataset, seed),
         cost=algorithm.cost(config, data_sizes(source)),
     )
-
-
-def _datasets_together(settings: Settings, dataset: str) -> str:
-    """What tells the datasets of one program from those of others, see `runner.stack`."""
-    stack = settings.runner.stack
-    if stack == "algorithm":
-        return ""
-    if stack == "pair":
-        return f"/{dataset}"
-    return f"/{settings.datasets.index(dataset) // stack}"
 
 
 def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:
@@ -209,7 +197,7 @@ def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviou
         | simulated_on(spec.environment),
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
-        lanes=f"evaluate/{variant.label}/{dataset}",
+        lanes=evaluated_together(settings, variant.label, dataset, policy.config["seed"]),
         cost=evaluation_cost(
             variant.config,
             data_sizes(spec),

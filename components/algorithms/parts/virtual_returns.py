@@ -16,18 +16,22 @@ from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.interface import TransitionModel
 from components.models.transition.model_environment import (
     ModelEnvironment,
+    Propagation,
     RolloutStep,
     discounted_sum,
 )
 
-__all__ = ["TRANSITIONS", "VirtualReturns"]
+__all__ = ["AGGREGATIONS", "TRANSITIONS", "VirtualReturns"]
 
 TRANSITIONS: Final = ("recurrent_ensemble", "deterministic_ensemble")
 """Models in which virtual trajectories can be made here."""
 
+AGGREGATIONS: Final = ("minimum", "mean", "single")
+"""How members become one: the one of least reward in every step, their mean, the first alone."""
+
 
 class VirtualReturns:
-    """Differentiable returns on ensembles, every step taking the least reward.
+    """Differentiable returns on ensembles.
 
     Args:
         inputs: Data and ensembles of the lanes.
@@ -35,6 +39,7 @@ class VirtualReturns:
         discount: gamma.
         transition: The ensembles, one of `TRANSITIONS`.
         scale: By which returns are divided; None: by the size of the log's own mean return.
+        aggregation: What becomes of the members' predictions, one of `AGGREGATIONS`.
 
     Attributes:
         scale: ``[L, 1]`` the same for every lane.
@@ -47,8 +52,10 @@ class VirtualReturns:
         discount: float,
         transition: str = TRANSITIONS[0],
         scale: float | None = None,
+        aggregation: str = AGGREGATIONS[0],
     ) -> None:
         self._data, self._horizon, self._discount = inputs.data, horizon, discount
+        self._aggregation = aggregation
         device = inputs.data.device
         self._scaling = scaling = inputs.data.frame_scaling
         model: TransitionModel
@@ -104,4 +111,10 @@ class VirtualReturns:
 
     def _unroll(self, start: Tensor, act: Callable[[Tensor], Tensor]) -> Iterator[RolloutStep]:
         past = self._data.start_states(start, self._environment.model.memory)
-        return self._environment.unroll(*past, act, self._horizon)
+        return self._environment.unroll(*past, act, self._horizon, self._propagation(start))
+
+    def _propagation(self, start: Tensor) -> Propagation:
+        """How trajectories from ``start [L, B]`` on are continued."""
+        if self._aggregation == "single":
+            return torch.zeros(self._horizon, *start.shape, dtype=torch.int64, device=start.device)
+        return "mean" if self._aggregation == "mean" else "minimum"

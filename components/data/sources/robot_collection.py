@@ -9,16 +9,19 @@ Actions are rounded to float32 *before* the robot receives them, so the stored a
 that was executed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from components.core.random_streams import lane_generator, lane_key
-from components.environments.mujoco.robots import Robots
 
-__all__ = ["Episode", "Exploration", "collect_episodes"]
+if TYPE_CHECKING:  # MuJoCo is slow to import
+    from components.environments.mujoco.robots import Robots
+
+__all__ = ["Episode", "Exploration", "collect_episodes", "episode_arrays"]
 
 Array = NDArray[np.float64]
 
@@ -81,7 +84,7 @@ class Episode:
 class _Collector:
     """N copies, each of which runs the episode of some number, or is free."""
 
-    def __init__(self, robots: Robots, exploration: Exploration, horizon: int, key: int) -> None:
+    def __init__(self, robots: "Robots", exploration: Exploration, horizon: int, key: int) -> None:
         self._robots, self._exploration = robots, exploration
         self._horizon, self._key = horizon, key
         copies, width = robots.copies, len(robots.action_features)
@@ -151,7 +154,7 @@ class _Collector:
 
 def collect_episodes(
     expert: Callable[[Array], Array],
-    robots: Robots,
+    robots: "Robots",
     exploration: Exploration,
     *,
     horizon: int,
@@ -181,3 +184,20 @@ def collect_episodes(
         log.append(finished[len(log)].cut(missing))
         missing -= log[-1].steps
     return log
+
+
+def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
+    """The arrays of a dataset: episodes of different lengths one after the other."""
+    lengths = [episode.steps for episode in episodes]
+    last = np.cumsum(lengths) - 1
+    terminated, truncated = (np.zeros(sum(lengths), dtype=np.bool_) for _ in range(2))
+    terminated[last] = [episode.terminated for episode in episodes]
+    truncated[last] = ~terminated[last]
+    return {
+        "frames": np.concatenate([episode.frames for episode in episodes]),
+        "actions": np.concatenate([episode.actions for episode in episodes]),
+        "rewards": np.concatenate([episode.rewards for episode in episodes]),
+        "terminated": terminated,
+        "truncated": truncated,
+        "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
+    }

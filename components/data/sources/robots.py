@@ -10,19 +10,23 @@ Episodes end with a fall, which is terminal, or by time-out, which is not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Final
 
 from components.core.random_streams import lane_key
 from components.data.assembly import assemble
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.data.dataset import OfflineDataset
 from components.data.sources.ranges import check_exploration_and_discount
-from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
-from components.environments.mujoco.robots import Robots
+from components.data.sources.robot_collection import (
+    Episode,
+    Exploration,
+    collect_episodes,
+    episode_arrays,
+)
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
+
+if TYPE_CHECKING:
+    from components.environments.mujoco.robots import Robots
 
 __all__ = ["RobotSpec"]
 
@@ -110,6 +114,8 @@ class RobotSpec:
             ValueError: the expert is damaged or was trained on another robot.
         """
         expert = self._expert()
+        from components.environments.mujoco.robots import Robots  # MuJoCo is slow to import
+
         robots = Robots(ROBOTS[self.robot], _COPIES, self.physics, threads)
         if expert.policy.card.features != tuple(robots.frame_features):
             raise ValueError(
@@ -139,24 +145,11 @@ class RobotSpec:
 
 
 def _assemble(
-    spec: RobotSpec, seed: int, expert: Expert, robots: Robots, episodes: Sequence[Episode]
+    spec: RobotSpec, seed: int, expert: Expert, robots: "Robots", episodes: Sequence[Episode]
 ) -> OfflineDataset:
-    """Lay episodes of different lengths one after the other and write their card."""
-    lengths = [episode.steps for episode in episodes]
-    last = np.cumsum(lengths) - 1
-    terminated, truncated = (np.zeros(sum(lengths), dtype=np.bool_) for _ in range(2))
-    terminated[last] = [episode.terminated for episode in episodes]
-    truncated[last] = ~terminated[last]
-    arrays: dict[str, NDArray[Any]] = {
-        "frames": np.concatenate([episode.frames for episode in episodes]),
-        "actions": np.concatenate([episode.actions for episode in episodes]),
-        "rewards": np.concatenate([episode.rewards for episode in episodes]),
-        "terminated": terminated,
-        "truncated": truncated,
-        "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
-    }
+    """Make a dataset of episodes and write its card."""
     return assemble(
-        arrays,
+        episode_arrays(episodes),
         discount=spec.discount,
         name=spec.name,
         environment=spec.environment,

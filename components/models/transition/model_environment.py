@@ -8,6 +8,8 @@ range of the training data. Policies see those of its features that the log's fr
 
 - ``"minimum"``: per trajectory and step the member that predicts the lowest reward (thesis 6.4 and
   5.17);
+- ``"mean"``: the mean of the members' clipped predictions, whose reward is the mean of theirs
+  (the ablation of thesis figure 6.11); nothing is drawn from it;
 - ``"isolated"``: every member continues its own copy of each trajectory (thesis 5.15);
 - a tensor of member numbers per step and trajectory: a random elite at every step (MOPO), or one
   member for the whole trajectory (MOReL).
@@ -33,7 +35,7 @@ __all__ = [
 ]
 
 Act = Callable[[Tensor], Tensor]
-Propagation = Literal["minimum", "isolated"] | Tensor
+Propagation = Literal["minimum", "mean", "isolated"] | Tensor
 PredictionRange = Literal["data", "free"]
 
 
@@ -183,6 +185,8 @@ class ModelEnvironment:
     ) -> Tensor:
         """Normalised targets ``[L, D, S, B]`` of the next frame, not clipped."""
         values = prediction.values
+        if propagation == "mean":
+            return values.clamp(self._low, self._high).mean(dim=2, keepdim=True)
         chosen: Tensor | None = None
         if isinstance(propagation, Tensor):
             chosen = propagation[step][:, None]

@@ -1,11 +1,14 @@
 """LION's losses by plain loops, and its limits in lambda."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import torch
 
+from components.algorithms.lion import Config
+from components.core.options import identity
 from components.data.dynamics import DynamicsSpecification
 from components.models.mlp_ensemble.ensemble import MLPTransition
 from components.policies.policy import PROXIMITY_SCALING
@@ -236,3 +239,38 @@ def test_trajectories_may_be_made_in_an_ensemble_without_memory() -> None:
     rewards = (raw * torch.tensor(dynamics.reward)[:, None, None]).sum(dim=1)
     expected = rewards.amin(dim=1) / abs(LOG.card.all_windows_return_mean)
     torch.testing.assert_close(returns, expected)
+
+
+def test_the_ensemble_may_be_its_mean_or_its_first_member() -> None:
+    """Over one step the mean of the members' rewards, that of the first, by default the least.
+
+    Single members are ensembles of one, whose least reward is their own. The log's range clips each
+    of them before the mean is taken, so that the mean of clipped rewards is meant.
+    """
+    ensemble = random_ensemble(LOG, LOG.card.name)
+    start = history_of(0)
+    action = np.full((1, 3), 0.25)
+    each = []
+    for member in range(ensemble.members):
+        nets = [member, ensemble.members + member]  # for fatigue and for consumption
+        alone = dataclasses.replace(
+            ensemble, weight=ensemble.weight[nets], readout=ensemble.readout[nets]
+        )
+        rewards, _, _ = by_loop(alone, start, action)
+        each.append(rewards[0])
+    assert len(set(each)) == len(each)
+    expected = {"minimum": min(each), "mean": np.mean(each), "single": each[0]}
+    for aggregation, reward in expected.items():
+        made = learner("lion", [LOG], [0], aggregation=aggregation, horizon=1)
+        returned = made._returns.of(
+            torch.tensor([[0]]), lambda seen: seen.new_full((*seen.shape[:2], 3), 0.25)
+        )
+        returned = returned * made._returns.scale
+        assert returned.item() == pytest.approx(reward, rel=1e-5)  # float32
+
+
+def test_an_option_not_taken_is_no_part_of_the_identity() -> None:
+    assert "aggregation" not in identity(Config())
+    assert identity(Config(aggregation="mean"))["aggregation"] == "mean"
+    with pytest.raises(ValueError, match="aggregation must be one of minimum, mean, single"):
+        Config(aggregation="median")

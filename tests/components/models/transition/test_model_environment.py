@@ -231,7 +231,7 @@ def test_gradients_flow_through_time() -> None:
 
 
 @pytest.mark.parametrize("kind", ["recurrent", "gaussian"])
-@pytest.mark.parametrize("propagation", ["minimum", "isolated", "numbers"])
+@pytest.mark.parametrize("propagation", ["minimum", "mean", "isolated", "numbers"])
 def test_without_gradients_the_steps_are_the_same(kind: str, propagation: str) -> None:
     """Also after later ones have been made: what a step shows is not overwritten."""
     model = random_ensemble if kind == "recurrent" else random_mlp_ensemble
@@ -275,6 +275,20 @@ def test_of_equally_low_rewards_the_first_member_is_followed() -> None:
     virtual = machine(constant_ensemble([0.0, 3.0, 4.0, 2.0], [0.0, 6.0, 5.0, 7.0], -1.0, 1.0))
     [step] = virtual.unroll(SEEN, HISTORY, lambda seen: seen.new_zeros(*seen.shape[:2], 3), 1)
     assert step.drawn[0, :, 0].tolist() == [[3.0] * 4, [6.0] * 4]
+
+
+def test_the_mean_of_the_members_has_the_mean_of_their_rewards() -> None:
+    # Of fatigues 0, 1 and 5, the last clipped to 1.5, and consumptions 0, -1 and 4, likewise.
+    virtual = machine(constant_ensemble([0.0, 1.0, 5.0], [0.0, -1.0, 4.0], -2.0, 1.5))
+    members = [(0.0, 0.0), (1.0, -1.0), (1.5, 1.5)]
+    rewards = [-0.03 * (40 + 4 * f) - 0.01 * (100 + 8 * c) for f, c in members]
+    for step in virtual.unroll(
+        SEEN, HISTORY, lambda seen: seen.new_zeros(*seen.shape[:2], 3), 3, "mean"
+    ):
+        torch.testing.assert_close(step.rewards, torch.full((1, 4), sum(rewards) / 3))
+        fatigue, consumption = np.mean(members, axis=0)
+        expected = torch.tensor([40 + 4 * fatigue, 100 + 8 * consumption]).float()
+        torch.testing.assert_close(step.frames[0, :, 4:], expected.expand(4, 2))
 
 
 def test_return_rises_where_less_is_consumed() -> None:
