@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from components.core.files import read_json
-from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
-from tests.flows.pipeline.fault_driver import HOLD
-from tests.flows.pipeline.toys import counted, diamond, wait_for
+from tests.flows.pipeline.fault_driver import shared_plan
+from tests.flows.pipeline.toys import counted, wait_for
 
 _DAY = 24 * 3600.0
 
@@ -30,7 +29,7 @@ def finished_runs(home: Path) -> list:
 def test_two_drivers_share_the_work_and_a_third_of_the_same_name_is_told(
     tmp_path: Path, log: Path
 ) -> None:
-    home, plan = tmp_path / "shared", Plan(diamond(log, pause=0.0, hold=HOLD))
+    home, plan = tmp_path / "shared", shared_plan(log)
     with start(home, log, "one") as one, start(home, log, "other") as other:
         wait_for(lambda: counted(log, "drivers") == 2, "both drivers")
         wait_for(lambda: counted(log, "holding") >= 1, "a group that waits")
@@ -58,7 +57,7 @@ def test_two_drivers_share_the_work_and_a_third_of_the_same_name_is_told(
 def test_a_clock_that_jumps_changes_no_result_and_no_duration(
     tmp_path: Path, log: Path, jump: float
 ) -> None:
-    home, plan = tmp_path / "shared", Plan(diamond(log, pause=0.0, hold=HOLD))
+    home, plan = tmp_path / "shared", shared_plan(log)
     with start(home, log, "jumps", jump) as driver:
         wait_for(lambda: counted(log, "holding") >= 1, "a group that waits")
         (log / "go").touch()
