@@ -17,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscop
   --no-loadscope-reorder --max-worker-restart 0
 
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark data test test-fast test-all lint format docs bench peers ui clean
+.PHONY: help setup benchmark data test test-fast test-all lint format docs soak bench peers ui clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,6 +59,9 @@ format: $(READY) ## Put the code into the common format
 
 docs: $(READY) ## Build the pages of docs/ as a site, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+soak: $(READY) ## Kill a small benchmark 50 times at random and compare it with an undisturbed one; SEED=1
+	$(BIN)/python -m tests.soak --kills 50 $(if $(SEED),--seed $(SEED))
 
 bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
 	$(BIN)/python -m benchmarks.run
