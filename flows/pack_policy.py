@@ -1,4 +1,4 @@
-"""Put a stored policy and what operating it takes into a small folder: ``python -m flows.pack_policy``."""
+"""Put a stored policy into a folder for the console: ``python -m flows.pack_policy run=ID``."""
 
 import shutil
 from collections.abc import Sequence
@@ -22,8 +22,8 @@ Put a stored policy into a folder that flows.console opens without a store: its 
 clone of the behaviour, the card of the log, and some of the log's states, which tell what is
 familiar. A few hundred KB, no pickle.
 
-  run=ID          id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
-                  e.g. lion/mediocre-0.2/seed0
+  run=ID          id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its
+                  name, e.g. lion/mediocre-0.2/seed0
   to=FOLDER       that does not exist yet, e.g. turbine
   overwrite=true  replace a folder that an earlier call has made
   store=mlruns    folder of the runs

@@ -95,9 +95,7 @@ class Twins:
 
     def step(self, actions: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """See :class:`Plant`."""
-        moved = [
-            system.step(own[None]) for system, own in zip(self.systems, actions, strict=True)
-        ]
+        moved = [system.step(own[None]) for system, own in zip(self.systems, actions, strict=True)]
         frames, rewards = (np.concatenate(own) for own in zip(*moved, strict=True))
         return frames, rewards, np.concatenate([system.terminated for system in self.systems])
 

@@ -32,13 +32,23 @@ Array = NDArray[np.float64]
 
 
 class Pilot(Protocol):
-    """Chooses the proximity from what it is told."""
+    """Chooses the proximity from what it is told, see :class:`.flying.Flying`."""
+
+    @property
+    def landed(self) -> bool:
+        """Whether the next step has to be the first of an episode."""
 
     def propose(self) -> float:
         """The proximity of the next step, 0 to 1."""
 
-    def tell(self, proximity: float, reward: float, familiar: float) -> None:
-        """What came of a step: its reward, and that of the behaviour beside it."""
+    def tell(self, reward: float) -> None:
+        """What a step earned."""
+
+    def ended(self) -> None:
+        """The episode has ended before the pilot's trajectory."""
+
+    def forget(self) -> None:
+        """Somebody else drives, or the episode was broken off."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +118,7 @@ class Session:
         self.takes_proximity = operable.policy.card.takes_proximity
         self._proximity = 0.0
         self._driver: Driver = "operator"
-        self.episode = -1
+        self.episode, self.over = -1, True
         self.restart()
         if self.frames.shape[1] != len(operable.policy.card.features):
             raise ValueError(
@@ -136,6 +146,10 @@ class Session:
     def driver(self, name: Driver) -> None:
         if name not in self.drivers:
             raise ValueError(f"driver={name} is unknown; known are {', '.join(self.drivers)}.")
+        if self._pilot is not None and name != self._driver:
+            self._pilot.forget()
+            # What the pilot is told must be of whole episodes.
+            self.over = self.over or name == "autopilot"
         self._driver = name
 
     @property
@@ -151,6 +165,8 @@ class Session:
 
     def restart(self) -> None:
         """Begin the next episode."""
+        if self._pilot is not None and not self.over:
+            self._pilot.forget()
         self.episode += 1
         self.frames = self.plant.start(self.seed, self.episode)
         card = self.operable.policy.card
@@ -194,8 +210,11 @@ class Session:
         )
         self.at += 1
         self.over = bool(ended[0]) or self.at >= self.plant.horizon
-        if self._pilot is not None:
-            self._pilot.tell(self._proximity, float(rewards[0]), float(rewards[1]))
+        if self._driver == "autopilot" and self._pilot is not None:
+            self._pilot.tell(float(rewards[0]))
+            if self.over:
+                self._pilot.ended()
+            self.over = self.over or self._pilot.landed
         return done
 
     def actions_at(self, frames: Array) -> Array:

@@ -25,7 +25,7 @@ _APART: Final = 1.0  # between two goals
 
 
 def shown_of(session: Session) -> list[Shown]:
-    """What is worth a curve: the reward and the frames of a system; of recorded states the actions."""
+    """What is worth a curve: reward and frames of a system; of recorded states the actions."""
     card = session.operable.card
 
     def frame(column: int) -> Callable[[Step], Array]:

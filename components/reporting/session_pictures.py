@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
 from components.reporting.policy_maps import PlaneMap
@@ -61,10 +61,10 @@ def session_picture(
         `[448, 720, 3]`.
     """
     figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
-    dial, below = figure.subfigures(2, 1, height_ratios=[1, 6])
+    dial, below = _beside(figure, 2, 1, height_ratios=[1, 6])
     _draw_dial(dial.subplots(), past)
     if plane is not None and actions is not None:
-        left, right = below.subfigures(1, 2, width_ratios=[1.1, 1])
+        left, right = _beside(below, 1, 2, width_ratios=[1.1, 1])
         _draw_map(left.subplots(), plane, actions, past)
         places = np.atleast_1d(right.subplots(len(past.names), 1, sharex=True))
     else:
@@ -78,6 +78,11 @@ def session_picture(
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+
+
+def _beside(figure: FigureBase, rows: int, columns: int, **ratios: Any) -> list[Any]:
+    """Parts of a figure, each with its own layout."""
+    return list(np.atleast_1d(figure.subfigures(rows, columns, **ratios)))
 
 
 def _draw_dial(axes: Axes, past: SessionPast) -> None:

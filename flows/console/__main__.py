@@ -8,15 +8,17 @@ from pydantic import Field
 from flows.configuration.checking import SettingsError, StrictModel, build_config
 from flows.configuration.overrides import split_word
 from flows.door import run_door
+from flows.pipeline.signals import exit_code
 
 __all__ = ["ConsoleSettings", "load_console_settings", "run"]
 
 HELP = """\
 usage: python -m flows.console [KEY=VALUE ...]
 
-Open the operator's console: choose a policy, turn its proximity with a slider while the machine runs
-and watch what it does beside the logged behaviour; or look at a sweep. A turbine and the 2-D world
-are shipped, so nothing has to be trained. The server listens on 127.0.0.1 alone, until Ctrl-C.
+Open the operator's console: choose a policy, turn its proximity with a slider while the machine
+runs and watch what it does beside the logged behaviour; or look at a sweep. A turbine and the 2-D
+world are shipped, so nothing has to be trained. The server listens on 127.0.0.1 alone, until
+Ctrl-C.
 
   store=mlruns   folder of the runs, whose policies are offered and whose sweeps are shown; sessions
                  are saved below its sessions/
@@ -63,7 +65,10 @@ def run(settings: ConsoleSettings) -> int:
     from flows.console.server import bound, serve  # a web server, which a replay does not need
 
     own = bound(settings.port)
-    serve(own, settings.store, lambda address: print(f"Open {address} in a browser.", flush=True))
+    try:
+        serve(own, settings.store, lambda at: print(f"Open {at} in a browser.", flush=True))
+    except KeyboardInterrupt:  # the usual end, after which there is nothing to continue
+        return exit_code()
     return 0
 
 

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from components.environments.systems import SYSTEMS, WORLD
 from components.environments.world.plane import CENTRE, SIDE
+from components.operating.flying import Flying
 from components.operating.operable import Operable
 from components.operating.recording import Recording
-from components.operating.session import Pilot, Session, Step
+from components.operating.session import Session, Step
 from components.operating.shown import goals_of, places_of_map, shown_of
 
 __all__ = ["MOST", "Bench"]
@@ -27,21 +28,21 @@ class Bench:
         operable: What is operated.
         policy: Id under which it was chosen.
         seed: Of starts and noise.
-        pilot: The third driver, if there is one.
 
     Attributes:
         session: The session.
         last: Its last step.
+        pilot: The autopilot; None where there is no system.
         recording: All of its steps.
         running: Whether it goes on by itself.
         strips: What is drawn over time.
     """
 
-    def __init__(
-        self, operable: Operable, policy: str, seed: int = 0, pilot: Pilot | None = None
-    ) -> None:
-        self._operable, self._policy, self._seed, self._pilot = operable, policy, seed, pilot
-        self.session = Session(operable, seed, pilot)
+    def __init__(self, operable: Operable, policy: str, seed: int = 0) -> None:
+        self._operable, self._policy, self._seed = operable, policy, seed
+        real = operable.card.environment in SYSTEMS
+        self.pilot = Flying(operable.card) if real else None  # nothing can be tried on a log
+        self.session = Session(operable, seed, self.pilot)
         self.recording = Recording(operable, policy, seed)
         self.running = True
         self.strips = shown_of(self.session)
@@ -79,9 +80,10 @@ class Bench:
     def restart(self) -> None:
         """Forget the recording and begin again, from the first start."""
         session = self.session
-        fresh = Bench(self._operable, self._policy, self._seed, self._pilot)
+        fresh = Bench(self._operable, self._policy, self._seed)
         fresh.session.proximity, fresh.session.driver = session.proximity, session.driver
-        self.session, self.recording, self.running = fresh.session, fresh.recording, True
+        self.session, self.recording, self.pilot = fresh.session, fresh.recording, fresh.pilot
+        self.running = True
 
     @property
     def full(self) -> bool:

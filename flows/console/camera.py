@@ -57,7 +57,9 @@ class Filming:
             if self._camera is None:
                 self._camera = Camera(*self._bench.system)
             picture = self._camera.picture(positions, velocities)
-        except OSError as error:
+        except (
+            Exception
+        ) as error:  # MuJoCo, Gymnasium and drawing libraries have errors of their own
             self._broken = True
             self._fail(f"The robot is not drawn: {error}")
             return

@@ -87,7 +87,13 @@ class Catalogue:
                 _check_sizes(offer.folder)
                 try:
                     opened = self._read(offer)
-                except (DamagedFileError, KeyError, TypeError, RuntimeError, OverflowError) as error:
+                except (
+                    DamagedFileError,
+                    KeyError,
+                    TypeError,
+                    RuntimeError,
+                    OverflowError,
+                ) as error:
                     raise ValueError(f"{offer.title} cannot be used: {error}") from error
                 self._opened[asked] = opened
                 while len(self._opened) > _KEPT:

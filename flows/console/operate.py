@@ -64,10 +64,10 @@ class Operate:
             self._warning = ui.label().classes("warning").mark("warning")
             self._warning.set_visibility(False)
             self._gauges()
+            self._buttons()
             with card():
                 self._scene = Scene([], {"map": False, "goals": [], "centre": [0, 0], "side": 1})
                 self._legend()
-            self._buttons()
         await ui.context.client.connected()
         if not self._windows.enter(ui.context.client):
             self._say("Too many windows are open; close one and load this page again.")
@@ -94,16 +94,18 @@ class Operate:
 
     def _gauges(self) -> None:
         with ui.element("div").classes("gauges"):
-            self._own = number("reward so far, this policy", "own")
-            self._usual = number("reward so far, behaviour beside it", "usual")
-            self._better = number("per step above the behaviour", "")
-            self._distance = number("distance to the familiar action", "")
+            self._own = number("reward so far: this policy", "own")
+            self._usual = number("reward so far: behaviour", "usual")
+            self._better = number("gain per step", "")
+            self._distance = number("action: distance to the familiar", "")
             self._strange = number("state: distance to the log", "")
 
     def _legend(self) -> None:
         with ui.row().classes("legend gap-4"):
             self._own_name = ui.label("━ this policy").classes("own")
-            self._usual_name = ui.label("━ the behaviour, same start and same noise").classes("usual")
+            self._usual_name = ui.label("━ the behaviour, same start and same noise").classes(
+                "usual"
+            )
             self._clock = ui.label("").classes("clock").mark("clock")
 
     def _buttons(self) -> None:
@@ -132,7 +134,7 @@ class Operate:
             operable = await run.io_bound(self._catalogue.open, event.value)
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
-            bench = Bench(operable, event.value, pilot=self._windows.pilot())
+            bench = Bench(operable, event.value)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -192,6 +194,8 @@ class Operate:
         if session.driver == "autopilot":
             self._slider.value = round(session.proximity, 2)
             self._turn_map()
+            if bench.pilot is not None:
+                self._say(bench.pilot.said)
         if self._filming is not None:
             self._filming.look()
         self._show_numbers(bench)
@@ -234,6 +238,8 @@ class Operate:
     def _driver(self, event: ValueChangeEventArguments) -> None:
         if self._bench is not None and event.value in self._bench.session.drivers:
             self._bench.session.driver = event.value
+            self._slider.set_enabled(event.value == "operator")
+            self._say("")
             if event.value == "operator":
                 self._bench.turn(self._slider.value)
                 self._turn_map()

@@ -72,6 +72,7 @@ def bound(port: int | None) -> socket.socket:
         own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             own.bind((HOST, wanted))
+            own.listen()
             return own
         except OSError as error:
             own.close()

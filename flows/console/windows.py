@@ -4,8 +4,6 @@ from typing import Final
 
 from nicegui import Client
 
-from components.operating.session import Pilot
-
 __all__ = ["Windows"]
 
 _MOST: Final = 20
@@ -27,7 +25,3 @@ class Windows:
         self._open.add(client.id)
         client.on_delete(lambda: self._open.discard(client.id))
         return True
-
-    def pilot(self) -> Pilot | None:
-        """An autopilot for a session; None where there is none."""
-        return None

@@ -204,7 +204,10 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
             "is not a policy but a run of data_generation; give",
         ),
         (["run=bc/hopper/seed0", "out=a.gif", "proximity=1"], "takes no proximity."),
-        (["run=lion/hopper/seed0", "out=a.gif"], "needs proximity; add e.g. proximity=0.5, or lambda=0..1."),
+        (
+            ["run=lion/hopper/seed0", "out=a.gif"],
+            "needs proximity; add e.g. proximity=0.5, or lambda=0..1.",
+        ),
         (["run=lion/hopper/seed0", "out=a.gif", "lambda=0..2"], "last_proximity='2': Input should"),
         (["run=world", "out=a.gif"], "needs proximity; add e.g. proximity=0.5, or lambda=0..1."),
     ],

