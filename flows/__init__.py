@@ -32,9 +32,12 @@ def _leave(number: int, frame: FrameType | None) -> None:
     os._exit(128 + number)  # an exception could be caught by whatever is being imported
 
 
-if (
-    sys.argv[:1] == ["-m"]  # what `python -m` has while it looks for the module
-    and f" -m {__name__}." in " ".join(sys.orig_argv)
-    and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-):
-    signal.signal(signal.SIGINT, _leave)
+def leave_quietly() -> None:
+    """Lets Ctrl-C end a command that still imports, without a traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+# A command of ours is being looked for: `python -m` has this argument meanwhile.
+if sys.argv[:1] == ["-m"] and f" -m {__name__}." in " ".join(sys.orig_argv):
+    leave_quietly()

@@ -1,5 +1,6 @@
 """A study of the thesis from stored runs: ``python -m flows.study world``."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,15 +10,22 @@ from flows.configuration.checking import hint
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
-from flows.planning.benchmark import benchmark_plan, sweep_name
+from flows.planning.benchmark import sweep_name
 from flows.report.report import write_report
 from flows.studies import STUDIES
 from flows.studies.study import Study
 
-_LISTED = "\n".join(
-    f"  {study.name:<32}{study.about}\n{'':34}by default {' '.join(study.defaults)}"
-    for study in STUDIES.values()
-)
+
+def _entry(study: Study) -> str:
+    """What the help says of a study."""
+    words = " ".join((*study.defaults, *study.quick))
+    lines = [study.about, f"{study.takes}, with {words}"]
+    wrap = textwrap.TextWrapper(72, break_long_words=False, break_on_hyphens=False).wrap
+    wrapped = [line for text in lines for line in wrap(text)]
+    return f"  {study.name}\n" + "\n".join(f"      {line}" for line in wrapped)
+
+
+_LISTED = "\n".join(map(_entry, STUDIES.values()))
 HELP = f"""\
 usage: python -m flows.study NAME [KEY=VALUE ...]
 
@@ -27,7 +35,11 @@ reused. To continue a study that was stopped, give the same command again.
 
 {_LISTED}
 
-  profile=smoke|quick|paper       budgets; paper is the default
+Times are those of two idle cores. The words after `with` are replaced by those that are given;
+`profile=paper` takes the thesis's budgets in place of all reduced ones, which may take days.
+
+  profile=smoke|quick|paper       budgets
+  datasets=[a,b]                  unless the study is about certain ones
   seeds=[0,1]                     whole numbers
   algorithm.NAME.KEY=VALUE        a setting of an algorithm, e.g. algorithm.lion.updates=200
   model.NAME.KEY=VALUE            a setting of a model, e.g. model.behaviour_policy.epochs=20
@@ -63,21 +75,27 @@ def _run(chosen: _Chosen) -> int:
 
 
 def _study(study: Study, settings: Settings) -> int:
-    plan = benchmark_plan(settings)
+    plan = study.plan(settings)
     name = settings.sweep or f"{study.name}-{sweep_name(settings, plan)}"
     folder = settings.store / "reports" / name
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         store = ArtifactStore(settings.store)
-        written = write_report(folder, plan, store, f"study {study.name}")
-        for note in written.notes:
-            print(f"Note: {note}")
+        folder.mkdir(parents=True, exist_ok=True)
+        files: Sequence[Path] = ()
+        headline: Metrics = {}
+        if "aggregation" in plan.by_component():
+            written = write_report(folder, plan, store, f"study {study.name}")
+            files, headline = written.files, written.headline
+            for note in written.notes:
+                print(f"Note: {note}")
         if not all(store.complete(node.key) for node in plan):
-            return written.files, written.headline
+            return files, headline
         drawn = study.draw(plan, store, folder)
         print(f"{drawn.text}\nFigures and tables: {folder}/")
-        print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
-        return [*written.files, *drawn.files], written.headline
+        if headline:
+            print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
+        return [*files, *drawn.files], headline
 
     return run_sweep(settings, name, plan, report)
 

@@ -38,7 +38,7 @@ from components.policies.policy import Policy, PolicyCard
 from components.training.loop import adam
 from components.training.stacked_learner import StackedLearner
 
-__all__ = ["ALGORITHM", "Config", "Learner"]
+__all__ = ["ALGORITHM", "Config", "Learner", "achieved_returns"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +63,11 @@ class Config:
             raise ValueError("learning_rate must be positive and discount lie in (0, 1].")
 
 
-def _achieved(dataset: OfflineDataset, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """Transitions that begin a whole window, and its return."""
+def achieved_returns(dataset: OfflineDataset, config: Config) -> tuple[np.ndarray, np.ndarray]:
+    """Transitions that begin a whole window, and its return.
+
+    At proximity 0 a policy is asked for the mean of these returns, at 1 for the greatest.
+    """
     rows, returns = [], []
     for start, end in zip(dataset.episode_starts[:-1], dataset.episode_starts[1:], strict=True):
         absorbed = config.window - 1 if dataset.terminated[end - 1] else 0
@@ -102,7 +105,7 @@ class Learner(StackedLearner):
         self._networks = {"actor": self._actor, "head": self._head}
         learned = [*self._actor.parameters(), *self._head.parameters()]
         self._optimizers = {"actor": adam(learned, config.learning_rate)}
-        windows = [_achieved(dataset, config) for dataset in data.datasets]
+        windows = [achieved_returns(dataset, config) for dataset in data.datasets]
         scaled, scalings = [], []
         for rows, returns in windows:
             scaling = Normaliser.fit(returns[:, None])

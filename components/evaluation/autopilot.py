@@ -123,6 +123,7 @@ class Found:
         lower: Its lower confidence bound.
         trajectories: Used in all.
         why: Why the search ended, or that it has not.
+        tried: All proximities that were tried, from 0 up.
     """
 
     proximity: float
@@ -130,6 +131,7 @@ class Found:
     lower: float
     trajectories: int
     why: str
+    tried: tuple[Tried, ...]
 
 
 @dataclass
@@ -195,9 +197,10 @@ class Autopilot:
         """
         if not self._returns:
             raise ValueError("Nothing was tried yet.")
-        best = max(self.tried(), key=lambda one: one.lower)
+        tried = tuple(self.tried())
+        best = max(tried, key=lambda one: one.lower)
         why = self._why or "not over"
-        return Found(best.proximity, best.mean, best.lower, self.used, why)
+        return Found(best.proximity, best.mean, best.lower, self.used, why, tried)
 
     # -- the search -----------------------------------------------------------------------------
 

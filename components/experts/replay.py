@@ -18,8 +18,9 @@ from torch import Tensor
 
 from components.core.integrity import DamagedFileError
 from components.data.batches import Batch
+from components.data.sources.robot_collection import Episode
 
-__all__ = ["Replay"]
+__all__ = ["Replay", "replayed_episodes"]
 
 Array = npt.NDArray[np.floating]
 
@@ -144,3 +145,29 @@ class Replay:
             next_observations=following,
             continues=continues.squeeze(-1),
         )
+
+
+def replayed_episodes(
+    rows: npt.NDArray[np.float32], observations: int, actions: int, horizon: int
+) -> list[Episode]:
+    """The episodes that a replay memory's rows are made of.
+
+    An episode ends with a fall, at its time limit, or with the last row.
+
+    Args:
+        rows: ``[N, O + A + 1 + 1 + O]`` of a lane, as :class:`Replay` writes them.
+        observations: Width O.
+        actions: Width A.
+        horizon: Time limit of an episode, in steps.
+    """
+    cuts = np.cumsum([observations, actions, 1, 1])
+    seen, taken, rewards, continues, following = np.split(rows, cuts, axis=1)
+    episodes, begin = [], 0
+    for row in range(len(rows)):
+        fallen = continues[row, 0] == 0.0
+        if fallen or row + 1 - begin == horizon or row + 1 == len(rows):
+            own = slice(begin, row + 1)
+            frames = np.concatenate([seen[own], following[row : row + 1]])
+            episodes.append(Episode(frames, taken[own], rewards[own, 0], bool(fallen)))
+            begin = row + 1
+    return episodes

@@ -188,7 +188,8 @@ def check_keys(words: Sequence[str], base: DictConfig) -> None:
         "model": base["model"],
         "model_for": dict.fromkeys(base["algorithm"], base["model"]),
     }
-    tree = {**base, "domain": dict.fromkeys(base["domain"], special)}
+    domains = dict.fromkeys(base["domain"], special)
+    tree = {**base, "domain": domains, "variants": base["algorithm"]}
     for word in words:
         key, _, value = word.partition("=")
         if key == "dataset" or key.startswith("dataset."):

@@ -53,6 +53,17 @@ def _penalties(chosen: Any) -> tuple[float, ...] | None:
     return tuple(map(float, penalties))
 
 
+def _varied(chosen: Any) -> Any:
+    """Checked lists of values, by algorithm and setting."""
+    for name, fields in chosen.items() if isinstance(chosen, Mapping) else ():
+        for setting, values in fields.items() if isinstance(fields, Mapping) else ():
+            if not isinstance(values, list | tuple) or not values:
+                raise SettingsError(
+                    f"variants.{name}.{setting}={values} must be a list of values, e.g. [0.1,0.3]."
+                )
+    return chosen
+
+
 def _sweep_name(name: Any) -> Any:
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", str(name)):
         shown = name if len(str(name)) <= 40 else f"{str(name)[:40]}..."
@@ -89,6 +100,7 @@ class Settings(StrictModel):
     Attributes:
         dataset: Source of every chosen dataset by name, with sizes filled in.
         mopo_penalties: Penalties for each of which MOPO trains a policy; None for its own alone.
+        variants: By algorithm and setting, the values for each of which a policy is trained.
         algorithm: Configuration object of every algorithm by name.
         model: Configuration object of every supervised model by name.
         special: Settings on the datasets that change some for themselves, by dataset.
@@ -103,6 +115,7 @@ class Settings(StrictModel):
     algorithms: Annotated[tuple[str, ...], selection("algorithm", ALGORITHM_CONFIGS)]
     seeds: Seeds
     mopo_penalties: Annotated[tuple[float, ...] | None, BeforeValidator(_penalties)]
+    variants: Annotated[dict[str, dict[str, tuple[Any, ...]]], BeforeValidator(_varied)]
     sweep: Annotated[str | None, BeforeValidator(_sweep_name)]
     training: TrainingSettings
     evaluation: EvaluationProtocol
@@ -147,6 +160,17 @@ class Settings(StrictModel):
         return self
 
     @model_validator(mode="after")
+    def _check_variants(self) -> "Settings":
+        for name in self.variants:
+            if name not in self.algorithms:
+                raise SettingsError(
+                    f"variants.{name} is given, but {name} is not among the algorithms; add it."
+                )
+        for dataset, name in product(self.datasets, self.variants):
+            self.varied_on(dataset, name)
+        return self
+
+    @model_validator(mode="after")
     def _check_snapshots(self) -> "Settings":
         for dataset, name in product(self.datasets, self.algorithms):
             updates = self.algorithm_on(dataset, name).updates
@@ -157,10 +181,22 @@ class Settings(StrictModel):
                 )
         return self
 
-    @property
-    def variants(self) -> dict[str, tuple[str, tuple[float, ...]]]:
-        """By algorithm, the setting that is swept and its values."""
-        return {"mopo": ("penalty", self.mopo_penalties)} if self.mopo_penalties else {}
+    def varied_on(self, dataset: str, name: str) -> list[tuple[str, Any, Any]]:
+        """What is trained in place of an algorithm's own settings on a dataset.
+
+        Returns:
+            Setting, value and configuration object; settings are varied one at a time. Empty if
+            none is.
+        """
+        penalties = {"penalty": self.mopo_penalties} if self.mopo_penalties else {}
+        wanted = self.variants.get(name, {}) | (penalties if name == "mopo" else {})
+        config = self.algorithm_on(dataset, name)
+        own = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+        return [
+            (key, value, build_config(type(config), f"variants.{name}", own | {key: value}))
+            for key, values in wanted.items()
+            for value in values
+        ]
 
     def algorithm_on(self, dataset: str, name: str) -> Any:
         """Configuration object of an algorithm on a dataset."""

@@ -22,6 +22,7 @@ from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
+from flows.pipeline.waiting import Waiting
 from flows.pipeline.worker import GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
@@ -81,7 +82,7 @@ class _Run:
     def __post_init__(self) -> None:
         self.stop = Stop(self.store, self.driver, self.display.note)
         self.outcome = Outcome()
-        self.waiting: dict[str, Group] = {}
+        self.waiting = Waiting()
         self.running: dict[str, Group] = {}
         self.started = False
         self.suspects: dict[str, str] = {}  # why a finished node could not be read, by key
@@ -133,7 +134,7 @@ class _Run:
         return self.outcome
 
     def _begin(self, groups: list[Group]) -> None:
-        self.waiting = {group.name: group for group in groups}
+        self.waiting = Waiting(groups)
         if groups and not self.started:
             self.executor.start(self.display.note, self._look)
             self.run_state.slots = self.executor.slots
@@ -218,14 +219,7 @@ class _Run:
         if self.stop.why:
             return
         # One more than can run, so that no worker idles while the tracker is being written.
-        room = self.executor.slots + 1 - len(self.running)
-        settled = self.waiting.keys() | self.running.keys()
-        ready = sorted(
-            (group for group in self.waiting.values() if not group.needs & settled),
-            key=lambda group: group.order,
-        )
-        for group in ready[: max(0, room)]:
-            del self.waiting[group.name]
+        while len(self.running) <= self.executor.slots and (group := self.waiting.take()):
             self.running[group.name] = group
             self.store.clear_progress(group.name)
             call = GroupCall.of(
@@ -263,7 +257,9 @@ class _Run:
             reason = f"{'; '.join(why.values()) or 'The worker gave no reason'}; {REPAIR_REMEDY}."
             result.failed |= dict.fromkeys(left, reason)
         if result.stopped and not self.stop.why:
-            self.waiting[group.name] = group  # another driver's stop: both compute this group
+            self.waiting.add(group)  # another driver's stop: both compute this group
+        elif not result.too_many:
+            self.waiting.left(group.name)
         self.run_state.ended(group.name, result)
         if result.too_many:
             self._halve(group, result.too_many)
@@ -277,8 +273,8 @@ class _Run:
 
     def _halve(self, group: Group, keys: Sequence[str]) -> None:
         """Computes nodes for which there was no room together in two parts."""
-        halves = halved(group, keys, self.waiting.values())
-        self.waiting |= {half.name: half for half in halves}
+        halves = halved(group, keys)
+        self.waiting.divide(group, halves)
         self.run_state.add(halves)
         memory = "The GPU's memory" if self.executor.device == "cuda" else "Memory"
         self.display.note(
@@ -297,22 +293,15 @@ class _Run:
         if node.key in self.outcome.skipped or self.store.complete(node.key):
             return
         self.outcome.skipped[node.key] = because
-        self._withdraw([node.key])
+        self.waiting.withdraw([node.key])
         self.run_state.skipped(node.key)
 
     def _postpone(self, keys: Sequence[str]) -> None:
         """Leaves nodes, and what needs them, to another pass."""
         self.postponed |= set(keys)
         for key in keys:
-            self._withdraw([node.key for node in self.plan.downstream(key)])
+            self.waiting.withdraw(node.key for node in self.plan.downstream(key))
         self.run_state.postponed()
-
-    def _withdraw(self, keys: Collection[str]) -> None:
-        """Takes nodes from the waiting groups; the others of a group run without them."""
-        for name, group in list(self.waiting.items()):
-            group.nodes = [member for member in group.nodes if member.key not in keys]
-            if not group.nodes:
-                del self.waiting[name]
 
     def _record(self, node: Node, reason: str | None) -> None:
         self.recorder.record(node, reason)

@@ -8,7 +8,7 @@ The estimate simulates the list schedule with the order that the runner uses.
 """
 
 import heapq
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,26 +96,19 @@ def form_groups(
     return groups
 
 
-def halved(group: Group, keys: Sequence[str], waiting: Iterable[Group]) -> list[Group]:
+def halved(group: Group, keys: Collection[str]) -> list[Group]:
     """Two groups in the place of one.
 
     Args:
         group: The one.
         keys: Those of its nodes that are still to be computed, two at least.
-        waiting: Groups that may need it; from now on they need what has become of it.
     """
     nodes = [node for node in group.nodes if node.key in keys]
     middle = len(nodes) // 2
-    halves = [
+    return [
         Group(digest(sorted(n.key for n in part)), part, set(), group.priority, group.early)
         for part in (nodes[:middle], nodes[middle:])
     ]
-    home = {key: half.name for half in halves for key in half.keys}
-    for other in waiting:
-        if group.name in other.needs:
-            sources = (source.key for node in other.nodes for source in node.inputs.values())
-            other.needs = other.needs - {group.name} | {home[k] for k in sources if k in home}
-    return halves
 
 
 def _in_order(groups: list[Group]) -> list[Group]:

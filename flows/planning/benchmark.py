@@ -42,7 +42,8 @@ def _needed_models(settings: Settings, dataset: str) -> set[str]:
     needs = {
         name
         for a in settings.algorithms
-        for name in ALGORITHMS[a].models_for(settings.algorithm_on(dataset, a))
+        for variant in variants(settings, dataset, a)
+        for name in ALGORITHMS[a].models_for(variant.config)
     }
     return needs | {"behaviour_policy"}
 

@@ -1,7 +1,7 @@
 """One node per component run: what decides its result, what it reads, what it costs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from components.algorithms import ALGORITHMS
@@ -73,20 +73,17 @@ class Variant:
 
 
 def variants(settings: Settings, dataset: str, algorithm: str) -> list[Variant]:
-    """The variants of an algorithm: one, or one per value of the setting that is swept."""
-    config = settings.algorithm_on(dataset, algorithm)
-    if algorithm not in settings.variants:
-        return [Variant(algorithm, config, algorithm)]
-    name, chosen = settings.variants[algorithm]
-    return [
-        Variant(
-            algorithm,
-            replace(config, **{name: value}),
-            f"{algorithm}-{name}-{value:g}",
-            {name: f"{value:g}"},
-        )
-        for value in chosen
-    ]
+    """The variants of an algorithm: one, or one for each different configuration that is wanted."""
+    varied = settings.varied_on(dataset, algorithm)
+    if not varied:
+        return [Variant(algorithm, settings.algorithm_on(dataset, algorithm), algorithm)]
+    found: list[Variant] = []
+    for name, value, config in varied:
+        shown = f"{value:g}" if isinstance(value, int | float) else str(value)
+        if all(config != other.config for other in found):
+            label = f"{algorithm}-{name}-{shown}"
+            found.append(Variant(algorithm, config, label, {name: shown}))
+    return found
 
 
 def data_node(settings: Settings, name: str) -> Node:

@@ -9,12 +9,33 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from flows.studies import world
+from flows.studies import (
+    autopilot,
+    choices,
+    collapse,
+    dials,
+    online,
+    over_proximity,
+    trade_offs,
+    world,
+)
 from flows.studies.study import Study
 
 __all__ = ["STUDIES"]
 
 STUDIES: Final[Mapping[str, Study]] = MappingProxyType(
-    {study.name: study for study in (world.STUDY,)}
+    {
+        study.name: study
+        for study in (
+            world.STUDY,
+            online.STUDY,
+            collapse.STUDY,
+            *trade_offs.STUDIES,
+            *over_proximity.STUDIES,
+            choices.STUDY,
+            autopilot.STUDY,
+            dials.STUDY,
+        )
+    }
 )
 """By name, in the order in which the door lists them."""

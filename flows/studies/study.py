@@ -6,8 +6,10 @@ from pathlib import Path
 
 from flows.configuration.checking import SettingsError
 from flows.configuration.overrides import split_word
+from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
+from flows.planning.benchmark import benchmark_plan
 
 __all__ = ["Drawn", "Study"]
 
@@ -34,6 +36,9 @@ class Study:
         about: A sentence for the help.
         subject: Words of a command line that make it this study; they cannot be given otherwise.
         defaults: Further words, each of which the command line may replace.
+        quick: Words that make it affordable; all of them give way to a profile that is given.
+        takes: How long it takes on two idle cores, for the help.
+        plan: The nodes that it needs; by default those of the benchmark.
         draw: ``draw(plan, store, folder)`` writes figures and tables of a finished plan into an
             existing folder.
     """
@@ -42,6 +47,9 @@ class Study:
     about: str
     subject: tuple[str, ...]
     defaults: tuple[str, ...] = ()
+    quick: tuple[str, ...] = ()
+    takes: str = "minutes"
+    plan: Callable[[Settings], Plan] = benchmark_plan
     draw: Callable[[Plan, ArtifactStore, Path], Drawn]
 
     def words(self, given: Sequence[str]) -> list[str]:
@@ -60,5 +68,6 @@ class Study:
                     f"The study {self.name} is about {' '.join(self.subject)}; leave these out, or "
                     "use flows.full_benchmark for others."
                 )
-        own = (word for word in self.defaults if word.partition("=")[0] not in keys)
+        proposed = self.defaults if "profile" in keys else (*self.defaults, *self.quick)
+        own = (word for word in proposed if word.partition("=")[0] not in keys)
         return [*self.subject, *own, *(word for word in given if word not in self.subject)]

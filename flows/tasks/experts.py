@@ -1,26 +1,36 @@
-"""Experts as task functions: training, one lane per seed, the choice of a seed, a search around it.
+"""Experts as task functions: training, one lane per seed, the choice of a seed, a search, and logs.
 
-This is data generation: all steps run the real system, and nothing but the data logged by the
+This is data generation: all of it runs the real system, and nothing but the data logged by the
 chosen expert reaches a learner.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from functools import partial
+from typing import Any, Final
 
+import numpy as np
 import torch
 
 from components.core.integrity import load_json
 from components.core.random_streams import lane_generator, lane_key
+from components.data.assembly import assemble
 from components.data.controllers.trained.shipped import Expert, ExpertCard, act_in_double
 from components.data.returns import RETURN_STEPS
+from components.data.sources.robot_collection import (
+    Exploration,
+    collect_episodes,
+    episode_arrays,
+)
+from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import check_simulator
 from components.experts.episodes import EpisodeReturns, evaluate_episodes
 from components.experts.online import ExpertConfig
 from components.experts.refinement import RefinementConfig, refine
+from components.experts.replay import replayed_episodes
 from components.experts.training import train_experts
 from components.policies.policy import Policy
 from components.training.divergence import DivergedError, diverged
@@ -28,15 +38,20 @@ from components.training.memory import keep_freed_memory
 from flows.pipeline.task import Job, TaskContext
 from flows.tasks.artifacts import (
     config_object,
+    note_dataset,
     noting_lost_graphs,
     read_input,
     write_curves,
     write_numbers,
 )
 
-__all__ = ["choose_expert", "refine_expert", "train_expert"]
+__all__ = ["TRANSITIONS", "choose_expert", "log_episodes", "refine_expert", "train_expert"]
+
+TRANSITIONS: Final = "transitions.npy"
+"""The replay memory of a training, where it is kept."""
 
 _REACHED = "reached.json"
+_COPIES: Final = 100  # stepped together; the log does not depend on their number
 
 
 def _robots(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
@@ -45,7 +60,10 @@ def _robots(config: Mapping[str, Any], copies: int, threads: int) -> Robots:
 
 
 def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Expert training: `policy/` holds the best policy of a seed; one lane per job."""
+    """Expert training: `policy/` holds the best policy of a seed; one lane per job.
+
+    Where the configuration says so, `transitions.npy` holds the replay memory.
+    """
     keep_freed_memory()
     first = jobs[0].config
     with noting_lost_graphs(jobs):
@@ -66,6 +84,8 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             continue
         (job.out / "policy").mkdir()
         policy.save(job.out / "policy")
+        if job.config.get("keeps_transitions"):
+            _keep_transitions(job, context, policy)
         reached = {"return": returns[lane], "step": policy.card.steps[0]}
         write_numbers(job.out / _REACHED, reached)
         metrics = {f"best/{name}": value for name, value in reached.items()}
@@ -73,6 +93,52 @@ def train_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             metrics["training/ended_at"] = policy.card.ended_at
         write_numbers(job.out / "metrics.json", metrics)
         write_curves(job.out / "curves.npz", curves.of_lane(lane))
+
+
+def _keep_transitions(job: Job, context: TaskContext, policy: Policy) -> None:
+    width = 2 * len(policy.card.features) + policy.card.actions + 2
+    rows = np.fromfile(context.work / f"{job.key}.transitions", np.float32)
+    np.save(job.out / TRANSITIONS, rows.reshape(-1, width))
+
+
+def log_episodes(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Logs of an online training: `dataset/` holds what it collected, or episodes of its policy."""
+    for job in jobs:
+        config, replayed = job.config, job.config["log"] == "replay"
+        spec, exploration = RobotSpec(**config["spec"]), config["training"]["exploration"]
+        policy = read_input(job, "online", Policy.load, "policy")
+        if replayed:
+            rows = read_input(job, "online", np.load, TRANSITIONS)
+            widths = len(policy.card.features), policy.card.actions
+            episodes = replayed_episodes(rows, *widths, spec.steps)
+        else:
+            robot = {"robot": spec.robot, "physics": spec.physics, "simulator": config["simulator"]}
+            episodes = collect_episodes(
+                partial(act_in_double, policy),
+                _robots(robot, min(_COPIES, spec.transitions), context.threads),
+                Exploration(0.0, 0.0),
+                horizon=spec.steps,
+                transitions=spec.transitions,
+                key=lane_key("online log", spec.name, config["seed"]),
+            )
+        dataset = assemble(
+            episode_arrays(episodes),
+            discount=spec.discount,
+            name=spec.name,
+            environment=spec.environment,
+            environment_parameters=spec.environment_parameters,
+            controller="online DDPG",
+            epsilon=0.0,
+            noise=exploration if replayed else 0.0,
+            seed=config["seed"],
+            history=spec.history,
+            frame_features=policy.card.features,
+            action_features=ROBOTS[spec.robot].action_features,
+            dynamics=ROBOTS[spec.robot].dynamics,
+            simulator=simulator_version(),
+        )
+        dataset.write(job.out / "dataset")
+        note_dataset(job, dataset)
 
 
 def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:

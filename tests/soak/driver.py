@@ -4,6 +4,10 @@ Everything is as in flows.full_benchmark, but that trainings write a checkpoint 
 second, so that kills meet some.
 """
 
+import flows
+
+flows.leave_quietly()  # as for every command of the project
+
 from dataclasses import replace
 
 from flows.command_line import main, run_sweep

@@ -9,9 +9,9 @@ Actions are rounded to float32 *before* the robot receives them, so the stored a
 that was executed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from components.core.random_streams import lane_generator, lane_key
 if TYPE_CHECKING:  # MuJoCo is slow to import
     from components.environments.mujoco.robots import Robots
 
-__all__ = ["Episode", "Exploration", "collect_episodes"]
+__all__ = ["Episode", "Exploration", "collect_episodes", "episode_arrays"]
 
 Array = NDArray[np.float64]
 
@@ -184,3 +184,20 @@ def collect_episodes(
         log.append(finished[len(log)].cut(missing))
         missing -= log[-1].steps
     return log
+
+
+def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
+    """The arrays of a dataset: episodes of different lengths one after the other."""
+    lengths = [episode.steps for episode in episodes]
+    last = np.cumsum(lengths) - 1
+    terminated, truncated = (np.zeros(sum(lengths), dtype=np.bool_) for _ in range(2))
+    terminated[last] = [episode.terminated for episode in episodes]
+    truncated[last] = ~terminated[last]
+    return {
+        "frames": np.concatenate([episode.frames for episode in episodes]),
+        "actions": np.concatenate([episode.actions for episode in episodes]),
+        "rewards": np.concatenate([episode.rewards for episode in episodes]),
+        "terminated": terminated,
+        "truncated": truncated,
+        "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
+    }

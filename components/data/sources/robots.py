@@ -12,15 +12,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from components.core.random_streams import lane_key
 from components.data.assembly import assemble
 from components.data.controllers.trained.shipped import SHIPPED, Expert
 from components.data.dataset import OfflineDataset
 from components.data.sources.ranges import check_exploration_and_discount
-from components.data.sources.robot_collection import Episode, Exploration, collect_episodes
+from components.data.sources.robot_collection import (
+    Episode,
+    Exploration,
+    collect_episodes,
+    episode_arrays,
+)
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
 
 if TYPE_CHECKING:
@@ -145,22 +147,9 @@ class RobotSpec:
 def _assemble(
     spec: RobotSpec, seed: int, expert: Expert, robots: "Robots", episodes: Sequence[Episode]
 ) -> OfflineDataset:
-    """Lay episodes of different lengths one after the other and write their card."""
-    lengths = [episode.steps for episode in episodes]
-    last = np.cumsum(lengths) - 1
-    terminated, truncated = (np.zeros(sum(lengths), dtype=np.bool_) for _ in range(2))
-    terminated[last] = [episode.terminated for episode in episodes]
-    truncated[last] = ~terminated[last]
-    arrays: dict[str, NDArray[Any]] = {
-        "frames": np.concatenate([episode.frames for episode in episodes]),
-        "actions": np.concatenate([episode.actions for episode in episodes]),
-        "rewards": np.concatenate([episode.rewards for episode in episodes]),
-        "terminated": terminated,
-        "truncated": truncated,
-        "episode_starts": np.concatenate([[0], last + 1]).astype(np.int64),
-    }
+    """Make a dataset of episodes and write its card."""
     return assemble(
-        arrays,
+        episode_arrays(episodes),
         discount=spec.discount,
         name=spec.name,
         environment=spec.environment,

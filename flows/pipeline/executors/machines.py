@@ -73,7 +73,7 @@ def machine_probe() -> Callable[[str], dict[str, Any]]:
                 return found
             url, _, name = token.rpartition("/locks/")
             try:
-                found["store"] = SharedStore(url).has_object(f"locks/{name}")
+                found["store"] = SharedStore(url).objects.read(f"locks/{name}") is not None
                 found["why"] = "it is empty there"
             except (StoreError, ValueError) as error:
                 found["why"] = str(error)

@@ -77,7 +77,7 @@ class Glance(SharedStore):
         """
         self._begun = None
         missing = {f"nodes/{key}/{RECORD}": key for key in keys if not self.path(key).is_dir()}
-        for name, content in self._objects.read_many(list(missing)).items():
+        for name, content in self.objects.read_many(list(missing)).items():
             with suppress(ValueError, AttributeError, KeyError, TypeError):
                 files = json.loads(content).get("files", {})
                 small = [file for file, about in files.items() if about["size"] <= SMALL]

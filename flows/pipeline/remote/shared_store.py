@@ -41,6 +41,7 @@ class SharedStore(ArtifactStore):
     Attributes:
         url: Of the shared store.
         drives: Whether the driver of a sweep holds it, which keeps a copy of all it has computed.
+        objects: Of the shared store.
     """
 
     def __init__(
@@ -60,9 +61,9 @@ class SharedStore(ArtifactStore):
         super().__init__(root or copy_of(url))
         self.url = url.rstrip("/")
         self.drives = drives
-        self._objects = Objects(self.url)
-        self._folders = Folders(self._objects, self.root / "arriving")
-        self._claims = Claims(self._objects, owner)
+        self.objects = Objects(self.url)
+        self._folders = Folders(self.objects, self.root / "arriving")
+        self._claims = Claims(self.objects, owner)
         self._sent: dict[str, str] = {}
         self._begun: dict[str, Folder] | None = None  # lists of work, as a driver has found them
 
@@ -76,7 +77,7 @@ class SharedStore(ArtifactStore):
         """
         wanted = sorted(set(keys))
         self._begun = None
-        theirs = self._objects.read_many([f"nodes/{key}/{RECORD}" for key in wanted])
+        theirs = self.objects.read_many([f"nodes/{key}/{RECORD}" for key in wanted])
         for key in wanted:
             content = theirs.get(f"nodes/{key}/{RECORD}")
             with locked(self.locks / f"arriving-{key}"):
@@ -108,7 +109,7 @@ class SharedStore(ArtifactStore):
         Raises:
             StoreError: the shared store does not answer or cannot be written.
         """
-        if self._objects.read(f"nodes/{key}/{RECORD}") is None:
+        if self.objects.read(f"nodes/{key}/{RECORD}") is None:
             self._folders.push_artifact(folder, key)
             super().publish(folder, key)
             return
@@ -129,10 +130,10 @@ class SharedStore(ArtifactStore):
 
     def _take_away(self, key: str) -> None:
         name = f"nodes/{key}/{RECORD}"
-        content = self._objects.read(name)
+        content = self.objects.read(name)
         if content is not None:
-            self._objects.write(f"damaged/{key}/{RECORD}", content)
-            self._objects.delete([name, *self._objects.sizes(f"nodes/{key}")])
+            self.objects.write(f"damaged/{key}/{RECORD}", content)
+            self.objects.delete([name, *self.objects.sizes(f"nodes/{key}")])
 
     # Work folders
 
@@ -194,11 +195,9 @@ class SharedStore(ArtifactStore):
 
     def _works(self) -> dict[str, Folder]:
         """The lists of all work folders of the shared store, by name."""
-        names = [
-            n for n in self._objects.sizes("work") if n.count("/") == 1 and n.endswith(".json")
-        ]
+        names = [n for n in self.objects.sizes("work") if n.count("/") == 1 and n.endswith(".json")]
         found = {}
-        for name, content in self._objects.read_many(names).items():
+        for name, content in self.objects.read_many(names).items():
             listed = self._folders.list_of(content)
             if listed is not None and "serves" in listed and "members" in listed:
                 found[name.removeprefix("work/").removesuffix(".json")] = listed
@@ -221,7 +220,7 @@ class SharedStore(ArtifactStore):
     def _send(self, path: str) -> str:
         if path not in self._sent:
             name = manifest_digest(describe_files(Path(path)))
-            if self._objects.read(f"folders/{name}.json") is None:
+            if self.objects.read(f"folders/{name}.json") is None:
                 self._folders.push(Path(path), f"folders/{name}")
             self._sent[path] = f"{_SHARED}{name}"
         return self._sent[path]
@@ -238,7 +237,7 @@ class SharedStore(ArtifactStore):
         name = named.removeprefix(_SHARED)
         here = self.root / "folders" / name
         if not here.is_dir():
-            listed = self._folders.list_of(self._objects.read(f"folders/{name}.json"))
+            listed = self._folders.list_of(self.objects.read(f"folders/{name}.json"))
             if listed is None or not self._folders.pull(f"folders/{name}", listed, here):
                 raise DamagedFileError(f"folders/{name} of {self.url} is missing or damaged", here)
         return here
@@ -257,7 +256,7 @@ class SharedStore(ArtifactStore):
     @contextmanager
     def carrying(self, group: str, work: Work) -> Iterator[None]:
         """Carries a running call's progress, checkpoints and requests to stop to and fro."""
-        with WorkerCourier(self._objects, self, group, work.path, lambda: self.save(work)):
+        with WorkerCourier(self.objects, self, group, work.path, lambda: self.save(work)):
             yield
 
     def forget_requests(self, group: str) -> None:
@@ -269,7 +268,7 @@ class SharedStore(ArtifactStore):
         super().clear_progress(group)
         if self.drives:
             ends = ("json", "stop", "pause")
-            self._objects.delete(f"progress/{group}.{end}" for end in ends)
+            self.objects.delete(f"progress/{group}.{end}" for end in ends)
 
     @contextmanager
     def driven(self, name: str) -> Iterator[None]:
@@ -282,7 +281,7 @@ class SharedStore(ArtifactStore):
         sweep = f"sweep-{name}"
         self._claims.beat()
         try:
-            with DriverCourier(self._objects, self, self._claims.beat) as courier:
+            with DriverCourier(self.objects, self, self._claims.beat) as courier:
                 if not self._claims.outlive(sweep):
                     raise PipelineError(
                         f"Another process is running the sweep {name!r} in {self.url} "
@@ -308,19 +307,11 @@ class SharedStore(ArtifactStore):
         Raises:
             StoreError: the shared store does not answer.
         """
-        names = [n for part in (*_RECORDS, "progress") for n in self._objects.sizes(part)]
-        for name, content in self._objects.read_many(names).items():
+        names = [n for part in (*_RECORDS, "progress") for n in self.objects.sizes(part)]
+        for name, content in self.objects.read_many(names).items():
             path = self.root / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, content.decode(errors="replace"))
-
-    def has_object(self, name: str) -> bool:
-        """Whether there is an object of this name.
-
-        Raises:
-            StoreError: the shared store does not answer.
-        """
-        return self._objects.read(name) is not None
 
     def send_requests(self) -> None:
         """Sends requests to drivers to stop.
@@ -329,7 +320,7 @@ class SharedStore(ArtifactStore):
             StoreError: the shared store does not answer or cannot be written.
         """
         for request in (self.root / "drivers").glob("*.stop"):
-            self._objects.write(f"drivers/{request.name}", request.read_bytes())
+            self.objects.write(f"drivers/{request.name}", request.read_bytes())
             request.unlink(missing_ok=True)
 
     def push_files(self, folder: str) -> None:
@@ -340,7 +331,7 @@ class SharedStore(ArtifactStore):
         """
         top = self.root / folder
         files = [path for path in sorted(top.rglob("*")) if path.is_file()]
-        self._objects.upload({path.relative_to(self.root).as_posix(): path for path in files})
+        self.objects.upload({path.relative_to(self.root).as_posix(): path for path in files})
 
 
 def store_at(folder: Path, *, create: bool = True, drives: bool = False) -> ArtifactStore:

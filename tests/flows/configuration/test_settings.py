@@ -127,7 +127,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
         ("foo=1", "Unknown key 'foo'; valid keys: aggregation, algorithm, .* training"),
         ("algoritms=[lion]", "Did you mean 'algorithms'"),
         ("data.foo=1", "Unknown key 'data.foo'; valid keys in data: seed, steps, trajectories"),
-        ("algorithm.lion.bta=1", "valid keys in algorithm.lion: beta, .*Did you mean 'beta'"),
+        ("algorithm.lion.bta=1", "valid keys in algorithm.lion: .* Did you mean 'beta'"),
         ("algorithm.foo.updates=3", "valid keys in algorithm: bc, bcq, bear, brac"),
         (
             "model.foo.hidden=3",
@@ -279,7 +279,12 @@ def test_the_old_name_of_the_proximity_step_keeps_working(paper: Settings) -> No
 
 def test_penalties_are_checked_and_become_variants() -> None:
     words = ["algorithms=[mopo]", "mopo_penalties=[0,0.5]"]
-    assert load_settings(words).variants == {"mopo": ("penalty", (0.0, 0.5))}
+    settings = load_settings(words)
+    varied = settings.varied_on(settings.datasets[0], "mopo")
+    assert [(key, value, config.penalty) for key, value, config in varied] == [
+        ("penalty", 0.0, 0.0),
+        ("penalty", 0.5, 0.5),
+    ]
 
 
 @pytest.mark.slow(4)
@@ -318,6 +323,36 @@ def test_bad_input_dry_runs_and_shown_settings_leave_nothing_behind(
     assert list(tmp_path.iterdir()) == []
     if code:
         assert len(shown.splitlines()) == 1
+
+
+def test_settings_are_varied_one_at_a_time() -> None:
+    words = ["algorithms=[lion]", "variants.lion.eta=[0,1]", "variants.lion.aggregation=[mean]"]
+    settings = load_settings(words)
+    varied = settings.varied_on("world", "lion")
+    assert [(key, value) for key, value, _ in varied] == [
+        ("eta", 0), ("eta", 1), ("aggregation", "mean"),
+    ]  # fmt: skip
+    assert [(c.eta, c.aggregation) for *_, c in varied] == [
+        (0.0, "minimum"), (1.0, "minimum"), (0.1, "mean"),
+    ]  # fmt: skip
+    assert type(varied[1][2].eta) is float, "1 and 1.0 have to be one key"
+    assert settings.varied_on("world", "bc") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["variants.lion.eta=0.1"], r"variants.lion.eta=0.1 must be a list of values, e.g. \["),
+        (["variants.lion.eta=[]"], "must be a list of values"),
+        (["variants.lion.eta=[-1]"], "variants.lion: .* eta not negative"),
+        (["variants.lion.etta=[1]"], "Unknown key 'variants.lion.etta'.* Did you mean 'eta'?"),
+        (["variants.lino.eta=[1]"], "Unknown key 'variants.lino'.* Did you mean 'lion'?"),
+        (["algorithms=[bc]", "variants.lion.eta=[1]"], "lion is not among the algorithms; add it"),
+    ],
+)
+def test_what_cannot_be_varied_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        load_settings(["algorithms=[lion]", *words] if len(words) == 1 else words)
 
 
 def test_penalties_without_their_algorithm_are_refused() -> None:

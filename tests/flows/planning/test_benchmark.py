@@ -329,6 +329,21 @@ def test_one_policy_per_penalty() -> None:
     assert chosen == [k / 10 for k in range(26)]
 
 
+def test_variants_of_any_setting_with_the_models_they_need() -> None:
+    words = ("variants.lion.transition=[recurrent_ensemble,deterministic_ensemble]",)
+    made = plan("algorithms=[lion]", "datasets=[bad-0.4]", *words, "variants.lion.beta=[0.1,1]")
+    # the default Beta is the default transition: one configuration, under its first name
+    labels = {n.config["algorithm"] for n in made if n.component == "aggregation"}
+    assert labels == {
+        "lion-transition-recurrent_ensemble",
+        "lion-transition-deterministic_ensemble",
+        "lion-beta-1",
+    }
+    policy = node(made, "lion-transition-deterministic_ensemble/bad-0.4/seed0")
+    assert "deterministic_ensemble" in policy.inputs
+    assert policy.tags["transition"] == "deterministic_ensemble"
+
+
 def test_models_that_nothing_needs_are_not_fitted() -> None:
     names = keys(plan("algorithms=[td3_bc]"))
     assert {kind(name) for name in names} == EVERY_KIND - AFTER_LION - {"recurrent_ensemble"}
