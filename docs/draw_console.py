@@ -1,4 +1,4 @@
-"""The pictures of docs/console.md and the README's animation: ``python docs/draw_console.py STORE SWEEP``.
+"""Pictures of docs/console.md, the README's animation: ``python docs/draw_console.py STORE SWEEP``.
 
 Starts the console on a store, one of whose sweeps is shown, and takes pictures of it in Debian's
 Chromium. The animation is taken step by step, so it does not depend on the computer's speed.
