@@ -97,10 +97,8 @@ def _thesis() -> pd.DataFrame:
 _FINAL: Final = {"lion": "final_lambda", "mopo": "final_lambda", "rvs": "final_return_to_go"}
 
 
-def trade_off_table(
-    found: Sequence[TradeOff], level: Mapping[str, float]
-) -> tuple[pd.DataFrame, dict[str, int]]:
-    """One row per dataset and algorithm, beside the thesis where it has one; and decimals."""
+def trade_off_table(found: Sequence[TradeOff], level: Mapping[str, float]) -> pd.DataFrame:
+    """One row per dataset and algorithm, beside the thesis where it has one."""
     rows = []
     for entry in found:
         search, thesis = entry.search, _thesis()
@@ -113,7 +111,7 @@ def trade_off_table(
                 "algorithm": _NAMES[entry.algorithm],
                 "log": level[entry.dataset],
                 "start": entry.returns[0],
-                "final knob": entry.knob[search.chosen],
+                "knob": entry.knob[search.chosen],
                 "final return": entry.returns[search.chosen],
                 "tried": search.tried,
                 "worst tried": search.worst,
@@ -124,10 +122,7 @@ def trade_off_table(
                 "thesis return": _of(thesis, entry, "return", known),
             }
         )
-    table = pd.DataFrame(rows)
-    numbers = [name for name in table.columns if name not in ("dataset", "algorithm")]
-    digits = dict.fromkeys(numbers, 1)
-    return table, digits | {"final knob": 2, "at": 2, "thesis knob": 2, "tried": 0, "turns": 0}
+    return pd.DataFrame(rows)
 
 
 def _of(thesis: pd.DataFrame, entry: TradeOff, column: str, known: bool) -> float:
@@ -156,13 +151,13 @@ _AXES: Final = {
 
 def _draw(plan: Plan, store: ArtifactStore, folder: Path, *, name: str) -> Drawn:
     found, level = _trade_offs(plan, store), levels(plan, store)
-    table, digits = trade_off_table(found, level)
+    table = trade_off_table(found, level)
     figures: dict[str, tuple[Sequence[Panel], str, Mapping[str, Any]]] = {}
     for algorithm, (file, below, how) in _AXES.items():
         own = [entry for entry in found if entry.algorithm == algorithm]
         if own:
             figures[file] = ([_panel(entry, level) for entry in own], below, how)
-    return written(folder, name, table, digits, _SAID, figures)
+    return written(folder, name, table, _SAID, figures)
 
 
 def _panel(entry: TradeOff, level: Mapping[str, float]) -> Panel:
