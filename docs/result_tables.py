@@ -14,7 +14,7 @@ import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
 from components.reporting.ranking import markdown
-from components.reporting.tables import thesis_numbers
+from components.reporting.thesis_numbers import thesis_numbers
 from flows.studies.finished import decimals
 
 ROOT: Final = Path(__file__).resolve().parents[1]

@@ -8,10 +8,14 @@ settings of models.
 Every door and every worker imports this package before anything heavy. The import sets what native
 libraries read once: one thread per process unless a task asks for more (two processes with
 two spinning OpenMP threads each on two cores run a hundred times slower than one), and no
-telemetry.
+telemetry. A command is also interrupted here without a traceback as long as it imports; once it has
+begun, its door handles Ctrl-C (`pipeline.signals`).
 """
 
 import os
+import signal
+import sys
+from types import FrameType
 
 for _name, _value in {
     "OMP_NUM_THREADS": "1",
@@ -21,3 +25,19 @@ for _name, _value in {
     "RAY_USAGE_STATS_ENABLED": "0",
 }.items():
     os.environ.setdefault(_name, _value)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os.write(2, b"\nInterrupted before anything had begun.\n")
+    os._exit(128 + number)  # an exception could be caught by whatever is being imported
+
+
+def leave_quietly() -> None:
+    """Lets Ctrl-C end a command that still imports, without a traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+# A command of ours is being looked for: `python -m` has this argument meanwhile.
+if sys.argv[:1] == ["-m"] and f" -m {__name__}." in " ".join(sys.orig_argv):
+    leave_quietly()

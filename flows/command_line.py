@@ -25,10 +25,11 @@ from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display, duration
+from flows.pipeline.remote.places import address_of
+from flows.pipeline.remote.shared_store import store_at
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.signals import ignored_signals
-from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.board import Board
 from flows.pipeline.tracking.board_tracker import BoardTracker
@@ -36,6 +37,7 @@ from flows.pipeline.tracking.file_tracker import FileTracker
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import Metrics, NullTracker, Tracker
 from flows.planning.memory import check_capacity, needs, total_memory
+from flows.planning.packing import chosen_device
 
 __all__ = [
     "COMMON_HELP",
@@ -49,6 +51,7 @@ __all__ = [
     "run_door",
     "run_sweep",
     "show_or_do",
+    "store_word",
     "window_width",
 ]
 
@@ -59,7 +62,8 @@ COMMON_HELP = """\
   sweep=NAME                      name of the sweep in the tracker and in STORE/reports
   max_hours=8                     stop cleanly after so many hours; the same command goes on
   until=07:00                     likewise at this time of day
-  store=mlruns                    folder of everything that is kept
+  store=mlruns                    folder of everything that is kept, or its URL, e.g.
+                                  s3://bucket/prefix: machines need no common disk then
   runner.executor=ray             or serial: everything in this process, for debugging
   runner.tracker=mlflow           or file: JSON lines in STORE/tracking; or none
   runner.cpus=2                   processors to use; all by default
@@ -120,12 +124,7 @@ def make_executor(settings: Settings) -> Executor:
         ValueError: There is no such device here.
         PipelineError: A task would take more processors than there are.
     """
-    runner = settings.runner
-    device = runner.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    elif device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("runner.device=cuda, but PyTorch finds no GPU here; use cpu or auto.")
+    runner, device = settings.runner, chosen_device(settings)
     if runner.executor == "serial":
         check_threads(runner.threads, min(available_cpus(), runner.cpus or available_cpus()))
         return SerialExecutor(device=device, threads=runner.threads, precision=runner.precision)
@@ -136,6 +135,7 @@ def make_executor(settings: Settings) -> Executor:
         gpus=torch.cuda.device_count() if device == "cuda" else 0,
         gpus_per_task=runner.gpu_share,
         root=settings.store.absolute(),
+        url=address_of(settings.store),
         precision=runner.precision,
     )
 
@@ -183,11 +183,11 @@ def run_sweep(
         SettingsError: This computer cannot do it, or it takes longer than a year.
     """
     limit = Limit(settings.runner.max_hours, settings.runner.until)
-    store = ArtifactStore(settings.store, create=not settings.dry_run)
+    store = store_at(settings.store, create=not settings.dry_run, drives=not settings.dry_run)
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
-    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(str(settings.store))}/")
+    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(store_word(settings))}/")
     for sentence in filter(None, (about, limit.sentence)):
         display.note(sentence)
     repairs = settings.runner.repair == "recompute"
@@ -228,7 +228,7 @@ def run_sweep(
     status = "FAILED"
     files: Sequence[Path] = ()
     metrics: Metrics = {}
-    with store_in_use(store), ExitStack() as told:
+    with store_in_use(store), store.driven(name), ExitStack() as told:
         try:
             tracker.open(name, tags, params, plan)
             driver = told.enter_context(driving(store, name, command, limit.reached, str(limit)))
@@ -273,6 +273,11 @@ def check_store(folder: Path) -> None:
         raise SettingsError(
             f"store={folder}: {nearest} may not be written; name a folder that may."
         )
+
+
+def store_word(settings: Settings) -> str:
+    """What store= was given."""
+    return address_of(settings.store) or str(settings.store)
 
 
 def command_words() -> list[str]:

@@ -14,8 +14,9 @@ from components.data.recorded_states import plant_of, recorded_states
 from components.policies.export import check_target, export_policy
 from components.policies.policy import Policy
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.stored_policy import find_policy
@@ -49,7 +50,7 @@ class ExportSettings(StrictModel):
     to: Path
     snapshot: int | None = Field(default=None, ge=1)
     overwrite: bool = False
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
 
 
 def load_export_settings(words: Sequence[str]) -> ExportSettings:
@@ -88,6 +89,7 @@ def _snapshot(policy: Policy, settings: ExportSettings) -> Policy:
 
 
 def _run(settings: ExportSettings) -> int:
+    bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     policy = _snapshot(Policy.load(store.path(record["key"]) / "policy"), settings)

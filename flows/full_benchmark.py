@@ -4,14 +4,20 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, main, run_sweep, window_width
+from flows.command_line import (
+    COMMON_HELP,
+    Metrics,
+    main,
+    run_sweep,
+    store_word,
+    window_width,
+)
 from flows.configuration.settings import Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.planning.cells import cells_line
 from flows.report.leaderboard import Leaderboard
-from flows.report.report import write_report
 
 HELP = f"""\
 usage: python -m flows.full_benchmark [KEY=VALUE ...]
@@ -43,7 +49,8 @@ give the same command again.
   judging.held_out=0.3            share of a log's episodes that judges learn from and policies not
   judging.snapshots=1             last policies of a run that are judged
   aggregation.pool_fraction=0.1   last share of the snapshots that enters the table
-  runner.stack=pair               or 2: one program for so many datasets; or algorithm: for all
+  pack=auto                       what one program trains: none, a policy; pair, the seeds of a
+                                  dataset and algorithm; 2, of two datasets; algorithm, of all
 {COMMON_HELP}"""
 
 
@@ -58,6 +65,8 @@ def _run(settings: Settings) -> int:
     board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
+        from flows.report.report import write_report  # figures are slow to import
+
         seeds = len(settings.seeds)
         about = f"profile {settings.profile_name}, {seeds} {'seed' if seeds == 1 else 'seeds'}"
         written = write_report(folder, plan, ArtifactStore(settings.store), about)
@@ -65,7 +74,7 @@ def _run(settings: Settings) -> int:
             print(line)
         if not written.table.empty:
             print(f"\nAll numbers and figures: {folder}/")
-            print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
+            print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
         return written.files, written.headline
 
     about = cells_line(settings, plan)

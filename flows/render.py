@@ -1,5 +1,6 @@
-"""Watch a stored policy: ``python -m flows.render run=td3_bc/hopper/seed0 out=hopper.mp4``."""
+"""Film a policy, of a robot or beside the behaviour: ``python -m flows.render run=ID out=FILE``."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,15 @@ from pydantic import Field
 
 from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE, film, pictures_per_second
-from components.policies.policy import Policy
+from components.operating.operable import SHIPPED, Operable, newest, shipped_names
+from components.operating.session import Session
+from components.policies.policy import Policy, PolicyCard
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
-from flows.stored_policy import find_policy
+from flows.stored_policy import find_policy, open_operable
 from flows.video import video
 
 __all__ = ["RenderSettings", "load_render_settings"]
@@ -23,20 +27,26 @@ __all__ = ["RenderSettings", "load_render_settings"]
 HELP = """\
 usage: python -m flows.render run=ID out=FILE [KEY=VALUE ...]
 
-Film a stored policy of a robot, drawn without a screen by EGL or OSMesa. The last snapshot acts.
+Film a policy; the last snapshot acts. A robot is drawn without a screen by EGL or OSMesa. Any other
+system is shown as in flows.console: over time, or on the map of the 2-D world, with the behaviour
+beside it from the same start and with the same noise.
 
   run=ID         id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its name,
-                 e.g. td3_bc/hopper/seed0
+                 e.g. td3_bc/hopper/seed0; or a shipped policy: turbine, world
   out=FILE       a file that ends in .mp4 or .gif, e.g. walker.mp4
-  proximity=0.5  for policies that take it, from 0 to 1
-  steps=1000     at most; a fall ends the film
+  lambda=0.5     for policies that take it, from 0 to 1; lambda=0..1 turns it during the film
+  steps=1000     at most; a fall ends the film of a robot; 200 for other systems
   seed=0         of the start state
-  size=480       of the picture in pixels, a multiple of 16
+  size=480       of a robot's picture in pixels, a multiple of 16
   store=mlruns   folder of the runs
 """
 
-_FORMER_KEYS = {"lambda": "proximity"}
-"""Old keys that stored reports name, and the keys of today."""
+_OTHER_NAMES = {"lambda": "proximity"}
+_TO = ".."  # between the proximities at the beginning and at the end
+_STEPS = {True: 1000, False: 200}  # of a robot, of another system
+_PER_SECOND = 12.0  # pictures of another system
+_HELD = 0.15  # share of the film at either end in which the proximity stays
+_PICTURES = 150  # of another system at most, as each takes a tenth of a second to draw
 
 
 class RenderSettings(StrictModel):
@@ -45,10 +55,19 @@ class RenderSettings(StrictModel):
     run: str = Field(min_length=1)
     out: Path
     proximity: float | None = Field(default=None, ge=0, le=1)
-    steps: int = Field(default=1000, ge=1)
+    steps: int | None = Field(default=None, ge=1)
     seed: int = Field(default=0, ge=0)
     size: int = Field(default=480, ge=16, multiple_of=16)  # blocks of video codecs
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
+    last_proximity: float | None = Field(default=None, ge=0, le=1)
+
+    def proximity_at(self, step: int, steps: int) -> float | None:
+        """The proximity of a step: turned evenly in the middle of the film, held at its ends."""
+        first, last = self.proximity, self.last_proximity
+        if first is None or last is None:
+            return first
+        part = (step / max(1, steps - 1) - _HELD) / (1 - 2 * _HELD)
+        return first + (last - first) * min(1.0, max(0.0, part))
 
 
 def load_render_settings(words: Sequence[str]) -> RenderSettings:
@@ -60,7 +79,11 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     fields: dict[str, Any] = {}
     for word in words:
         key, value = split_word(word)
-        key = _FORMER_KEYS.get(key, key)
+        key = _OTHER_NAMES.get(key, key)
+        if key == "last_proximity":
+            raise SettingsError("last_proximity is written lambda=0..1.")
+        if key == "proximity" and isinstance(value, str) and _TO in value:
+            value, _, fields["last_proximity"] = value.partition(_TO)
         if fields.setdefault(key, value) != value:
             raise SettingsError(f"{key} is given twice; give it once.")
     for name in ("run", "out"):
@@ -72,16 +95,15 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     return settings
 
 
-def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], np.ndarray]:
+def _actor(
+    policy: Policy, settings: RenderSettings, steps: int
+) -> Callable[[np.ndarray], np.ndarray]:
     """Frames `[1, H, F]` to the last snapshot's action `[A]`."""
     card = policy.card
-    takes = card.takes_proximity
-    if takes != (settings.proximity is not None):
-        says = "needs proximity; add e.g. proximity=0.5" if takes else "takes no proximity"
-        raise SettingsError(f"run={settings.run}: a policy of {card.algorithm} {says}.")
-    last = policy.select(slice(policy.lanes - 1, policy.lanes), card)
-    proximity = None if settings.proximity is None else torch.tensor([[settings.proximity]])
+    _check_proximity(card, settings)
+    last = newest(policy)
     generator = np.random.default_rng(settings.seed)
+    taken = itertools.count()
 
     def act(frames: np.ndarray) -> np.ndarray:
         noise = None
@@ -89,22 +111,33 @@ def _actor(policy: Policy, settings: RenderSettings) -> Callable[[np.ndarray], n
             drawn = generator.standard_normal((1, 1, card.candidates, card.noise), np.float32)
             noise = torch.from_numpy(drawn)
         seen = torch.from_numpy(frames).float()[None]
+        given = settings.proximity_at(next(taken), steps)
+        proximity = None if given is None else torch.tensor([[given]])
         return last.act(seen, proximity, noise)[0, 0].numpy()
 
     return act
 
 
+def _check_proximity(card: PolicyCard, settings: RenderSettings) -> None:
+    takes = card.takes_proximity
+    if takes != (settings.proximity is not None):
+        needs = "needs proximity; add e.g. proximity=0.5, or lambda=0..1"
+        says = needs if takes else "takes no proximity"
+        raise SettingsError(f"run={settings.run}: a policy of {card.algorithm} {says}.")
+
+
 def _run(settings: RenderSettings) -> int:
+    if settings.run in shipped_names():
+        return _film_session(settings, Operable.load(SHIPPED / settings.run), settings.run)
+    bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     card = DatasetCard.load(store.path(record["inputs"]["dataset"]) / "dataset" / "card.json")
     if card.environment not in DRAWABLE:
-        raise SettingsError(
-            f"run={settings.run} is a policy of {card.environment or card.name}, which has no "
-            "picture; only policies of the robots can be filmed."
-        )
+        return _film_session(settings, open_operable(store, record), record["name"])
     policy = Policy.load(store.path(record["key"]) / "policy")
-    act = _actor(policy, settings)
+    steps = settings.steps or _STEPS[True]
+    act = _actor(policy, settings, steps)
     per_second = pictures_per_second(card.environment, card.environment_parameters)
     with video(settings.out, per_second) as draw:
         take = film(
@@ -113,7 +146,7 @@ def _run(settings: RenderSettings) -> int:
             act,
             draw,
             history=policy.card.history,
-            steps=settings.steps,
+            steps=steps,
             seed=settings.seed,
             size=settings.size,
         )
@@ -121,6 +154,31 @@ def _run(settings: RenderSettings) -> int:
     print(
         f"{settings.out}: {record['name']} for {take.steps} steps ({take.seconds:.1f} s) {end}; "
         f"undiscounted return {take.reward:.1f}."
+    )
+    return 0
+
+
+def _film_session(settings: RenderSettings, operable: Operable, name: str) -> int:
+    """Film a system that no camera sees, or recorded states."""
+    _check_proximity(operable.policy.card, settings)
+    from components.operating.scene import Scene  # draws with Matplotlib, which robots do without
+
+    steps = settings.steps or _STEPS[False]
+    session = Session(operable, settings.seed)
+    scene = Scene(session, steps)
+    every = -(-steps // _PICTURES)
+    sums = np.zeros(2)
+    with video(settings.out, _PER_SECOND) as draw:
+        for step in range(steps):
+            proximity = settings.proximity_at(step, steps)
+            if proximity is not None:
+                session.proximity = proximity
+            sums += scene.step().rewards
+            if step % every == 0 or step == steps - 1:
+                draw(scene.picture())
+    print(
+        f"{settings.out}: {name} for {steps} steps; sum of rewards {sums[0]:.1f}, of the behaviour "
+        f"beside it {sums[1]:.1f}."
     )
     return 0
 

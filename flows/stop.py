@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from flows.configuration.checking import SettingsError, build_config
 from flows.door import run_door
 from flows.pipeline.driver import ask_to_stop, read_driver
+from flows.pipeline.remote.places import address_of
 from flows.pipeline.stopping import PATIENCE
 from flows.status.sweeps import SweepWords, chosen, fields_of, open_store
 
@@ -50,10 +51,12 @@ def stop(words: SweepWords) -> int:
     driver = read_driver(store.root, record.name)
     if driver is None or not ask_to_stop(store.root, driver, time.time()):
         raise SettingsError(f"No driver of sweep {record.name} runs; there is nothing to stop.")
+    store.send_requests()
+    word = address_of(words.store) or words.store
     print(
         f"The driver of sweep {record.name} on {driver.host} (process {driver.pid}) is asked to "
         f"stop; it does so within {PATIENCE:.0f} seconds.\nLook: python -m flows.status "
-        f"sweep={record.name} store={words.store} --watch\nContinue with: {driver.command}"
+        f"sweep={record.name} store={word} --watch\nContinue with: {driver.command}"
     )
     return 0
 

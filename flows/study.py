@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, run_door, run_sweep, show_or_do
+from flows.command_line import COMMON_HELP, Metrics, run_door, run_sweep, show_or_do, store_word
 from flows.configuration.checking import hint
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.runner import Outcome
@@ -94,7 +94,7 @@ def _study(study: Study, settings: Settings) -> int:
         drawn = study.draw(plan, store, folder)
         print(f"{drawn.text}\nFigures and tables: {folder}/")
         if headline:
-            print(f"As a page: python -m flows.report sweep={name} store={settings.store}")
+            print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
         return [*files, *drawn.files], headline
 
     return run_sweep(settings, name, plan, report)

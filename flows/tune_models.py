@@ -17,6 +17,7 @@ from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.progress import Display
+from flows.pipeline.remote.places import address_of
 from flows.pipeline.signals import ignored_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, known_nodes
@@ -85,6 +86,10 @@ def make_trials(settings: Settings) -> Trials:
 
 
 def _run(settings: Settings) -> int:
+    if (url := address_of(settings.store)) is not None:
+        raise SettingsError(
+            f"A search keeps its journal in a folder; give store=FOLDER in place of store={url}."
+        )
     limit = Limit(settings.runner.max_hours, settings.runner.until)
     found = study_specifications(settings)
     for specification in found:

@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 from flows.pipeline.errors import TrackingError
+from flows.pipeline.remote.places import copy_of, is_address
 from flows.pipeline.tracking.mlflow_address import StoreAddress
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
@@ -28,10 +29,12 @@ def main() -> None:
     parser.add_argument("--store", default="mlruns", help="folder of the runs")
     parser.add_argument("--port", default=DEFAULT_PORT, type=_port, help="1 to 65535")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the server has to be ended, too
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _: sys.exit(128 + received))
     try:
-        address = StoreAddress(arguments.store)
+        given = arguments.store
+        address = StoreAddress(copy_of(given) if is_address(given) else given)
         if address.tracking.startswith(("http://", "https://")):
             server = without_secrets(address.tracking)
             print(f"MLFLOW_TRACKING_URI names a server; open {server} in a browser.")
@@ -42,7 +45,7 @@ def main() -> None:
                 "or make some first: python -m flows.full_benchmark profile=quick"
             )
         _serve(address, arguments.port)
-    except TrackingError as error:
+    except (TrackingError, ValueError) as error:
         print(f"ui: {error}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:

@@ -11,8 +11,9 @@ from rich.console import Console
 
 from components.core.sealed import read_record, seal
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.pipeline.leftovers import store_alone
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
 from flows.pipeline.tracking.mlflow_address import StoreAddress
@@ -42,7 +43,7 @@ is an orphan, and nothing is removed while a sweep uses the store.
 class VerifySettings(StrictModel):
     """What to verify, and what to do about it."""
 
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
     prune: bool = False
     days: float = Field(default=30.0, ge=0)
     seal: bool = False
@@ -66,6 +67,7 @@ def load_verify_settings(words: Sequence[str]) -> VerifySettings:
         fields[key] = value if equals else "true"
     settings: VerifySettings = build_config(VerifySettings, "", fields)
     store = settings.store.expanduser()
+    bring(store)
     if not (store / "nodes").is_dir():
         raise SettingsError(f"store={store} holds no runs; give the folder that a sweep has made.")
     return settings.model_copy(update={"store": store})

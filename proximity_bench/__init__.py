@@ -17,7 +17,9 @@ arrays. Whatever is wrong is a ValueError of one sentence.
 """
 
 from components.data.dataset import OfflineDataset
+from components.evaluation.autopilot import Autopilot, AutopilotConfig
 from proximity_bench.datasets import dataset
+from proximity_bench.flying import autopilot
 from proximity_bench.judging import judge, split
 from proximity_bench.operating import operate, trajectory
 from proximity_bench.policies import Policy
@@ -26,8 +28,11 @@ from proximity_bench.stored import load
 from proximity_bench.training import train
 
 __all__ = [
+    "Autopilot",
+    "AutopilotConfig",
     "OfflineDataset",
     "Policy",
+    "autopilot",
     "dataset",
     "judge",
     "load",

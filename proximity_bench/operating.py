@@ -4,11 +4,15 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+import PIL.Image
 
 from components.core.random_streams import lane_generator, lane_key
+from components.data.card import DatasetCard
 from components.environments.frame_history import FrameHistory
 from components.environments.systems import SYSTEMS, make_batch
-from components.reporting.trajectories import trajectory_figure
+from components.operating.operable import Operable, newest
+from components.operating.scene import Scene
+from components.operating.session import Session
 from proximity_bench.policies import Policy
 
 if TYPE_CHECKING:  # an extra: only those who work with notebooks have it
@@ -37,13 +41,10 @@ def trajectory(
     Raises:
         ValueError: There is no such system, or the proximity does not suit.
     """
-    if policy.log is None or policy.log.environment not in SYSTEMS:
-        raise ValueError(
-            f"{policy!r} names no registered system to act in; registered are {', '.join(SYSTEMS)}."
-        )
+    card = _running(policy)
     if steps < 1:
         raise ValueError(f"steps must be at least 1, got {steps}.")
-    system = make_batch(policy.log.environment, 1, **policy.log.environment_parameters)
+    system = make_batch(card.environment, 1, **card.environment_parameters)
     key = lane_key("trajectory", seed)
     history = FrameHistory(system.reset(lane_generator(key)), policy.history)
     candidates = lane_generator(lane_key(key, "candidates"))
@@ -61,16 +62,17 @@ def trajectory(
 
 
 def operate(policy: Policy, *, steps: int = 100, seed: int = 0) -> "VBox":
-    """A slider from familiar to better, and what the machine makes of it; for notebooks.
+    """The console's scene in a notebook: turn the proximity while the machine runs.
 
     Args:
         policy: One that takes a proximity, with the card of a log whose system is registered.
-        steps: Of a trajectory.
-        seed: Of the system.
+        steps: Of the session.
+        seed: Of starts and noise.
 
     Returns:
-        The slider above the figure: rewards and frames at this proximity and at 0. Turning it lets
-        the policy act again from the same start.
+        The slider from familiar to better, a button that plays, and the picture: this policy, and
+        beside it the behaviour from the same start and with the same noise. Going back in the
+        player begins again.
 
     Raises:
         ValueError: The policy takes no proximity, or has no system.
@@ -78,27 +80,45 @@ def operate(policy: Policy, *, steps: int = 100, seed: int = 0) -> "VBox":
     """
     if not policy.takes_proximity:
         raise ValueError(f"A policy of {policy.algorithm} takes no proximity to be turned.")
-    from ipywidgets import FloatSlider, Image, VBox
+    card = _running(policy)
+    from ipywidgets import FloatSlider, HBox, Image, Label, Play, VBox
 
-    familiar = trajectory(policy, 0.0, steps=steps, seed=seed)
-    slider = FloatSlider(
-        value=0.0, min=0.0, max=1.0, step=0.05, description="proximity", readout_format=".2f"
-    )
+    clone = policy.behaviour
+    operable = Operable(newest(policy.stack), None if clone is None else newest(clone), card)
+    slider = FloatSlider(value=0.0, min=0.0, max=1.0, step=0.05, readout_format=".2f")
+    play = Play(min=0, max=steps, step=1, interval=100)
     shown = Image(format="png")
+    scenes = [Scene(Session(operable, seed), steps)]
 
-    def act(change: Any) -> None:
-        proximity = float(slider.value)
-        now = trajectory(policy, proximity, steps=steps, seed=seed)
-        names = {"0": familiar, f"{proximity:g}": now}
-        figure = trajectory_figure(names, policy.features, _discount(policy))
+    def show() -> None:
         drawn = BytesIO()
-        figure.savefig(drawn, format="png")
+        PIL.Image.fromarray(scenes[0].picture()).save(drawn, "PNG")
         shown.value = drawn.getvalue()
 
-    slider.observe(act, names="value")
-    act(None)
-    return VBox([slider, shown])
+    def act(change: Any) -> None:
+        taken = len(scenes[0].past.proximities)
+        if play.value < taken:
+            scenes[0], taken = Scene(Session(operable, seed), steps), 0
+        scenes[0].session.proximity = float(slider.value)  # of a scene begun again, too
+        for _ in range(taken, play.value):
+            scenes[0].step()
+        show()
+
+    for part in (play, slider):
+        part.observe(act, names="value")
+    show()
+    dial = HBox([Label("familiar"), slider, Label("better"), play])
+    return VBox([dial, shown])
 
 
-def _discount(policy: Policy) -> float:
-    return 1.0 if policy.log is None else policy.log.discount
+def _running(policy: Policy) -> DatasetCard:
+    """The card of a policy's log, whose system is registered.
+
+    Raises:
+        ValueError: There is none.
+    """
+    if policy.log is None or policy.log.environment not in SYSTEMS:
+        raise ValueError(
+            f"{policy!r} names no registered system to act in; registered are {', '.join(SYSTEMS)}."
+        )
+    return policy.log

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 # cores. The mark xdist_group does nothing here: pytest 9.2 ignores the name pytest-xdist 3.8 sets.
 TOGETHER = {
     "tests/flows/pipeline/executors/test_ray.py": "ray",
+    "tests/flows/pipeline/remote/test_cluster.py": "ray",
     "tests/flows/tuning/test_ray.py": "ray",
     "tests/flows/status/test_toy_sweep.py": "ray",
     "tests/flows/status/test_status_of_a_benchmark.py": "ray",

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import bootstrap
 
 from components.aggregation.statistics import PERCENTILE
 
@@ -63,6 +62,8 @@ def percentile_interval(
         samples: Each is drawn again by itself.
         resamples: How often.
     """
+    from scipy.stats import bootstrap  # slow to import, and no plan needs it
+
     found = bootstrap(
         samples,
         statistic,

@@ -32,10 +32,16 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
-from components.algorithms.parts.learner import LearnerInputs, gather_gradients, saturation
+from components.algorithms.parts.learner import (
+    LearnerInputs,
+    descend,
+    gather_gradients,
+    saturation,
+)
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Normal
 from components.core.normaliser import Normaliser
+from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.models.action_vae import ActionReconstruction, ActionVAE
 from components.models.mlp_ensemble.ensemble import MLPEnsemble, MLPTransition
@@ -48,6 +54,8 @@ from components.training.stacked_learner import StackedLearner
 __all__ = ["ALGORITHM", "Config", "Learner", "mixed_return"]
 
 LANES_AT_ONCE = {"cpu": 1, "cuda": 16}  # trajectories keep 0.6 GiB a lane for the gradient
+CLONING_RATE: Final = 1e-3  # Adam; far from a random policy's beginning 1e-5 would take for ever
+CLONING_BATCH: Final = 256
 DRAWN_AT_ONCE = 5  # updates; every one needs a normal number per virtual step and latent
 
 Optimize = Callable[[Sequence[Tensor], float], torch.optim.Optimizer]
@@ -68,6 +76,7 @@ class Config:
     penalty_discount: float = 0.97  # gamma_P, of later steps' errors
     return_weight: float = 0.01  # lambda, against the penalty's 1 - lambda
     minimum_weight: float = 0.5  # eta, of the least member's return against the mean's 1 - eta
+    cloning: int = option(0)  # updates towards the logged actions, before all others
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -82,6 +91,8 @@ class Config:
             raise ValueError(
                 "learning_rate must be positive and discount and penalty_discount lie in (0, 1]."
             )
+        if self.cloning < 0:
+            raise ValueError(f"cloning must not be negative, got {self.cloning}.")
         if not 0 <= self.return_weight <= 1 or not 0 <= self.minimum_weight <= 1:
             raise ValueError("return_weight and minimum_weight must lie in [0, 1].")
         if self.optimizer not in OPTIMIZERS:
@@ -120,6 +131,11 @@ class Learner(StackedLearner):
         self._networks = {"policy": self._actor}
         learned = list(self._actor.parameters())
         self._optimizers = {"policy": OPTIMIZERS[config.optimizer](learned, config.learning_rate)}
+        self.pretraining = config.cloning
+        if self.pretraining:
+            self._optimizers["cloning"] = adam(learned, CLONING_RATE)
+        cloned = {"row": data.row_draw(CLONING_BATCH)}
+        self._cloning_streams = LaneStreams(inputs.keys, cloned, device)
         ensembles = inputs.fitted("deterministic_ensemble", MLPEnsemble)
         autoencoders = inputs.fitted("action_vae", ActionVAE)
         at_once = LANES_AT_ONCE.get(device.type, 1)
@@ -205,9 +221,26 @@ class Learner(StackedLearner):
 
     # -- update -----------------------------------------------------------------------------
 
+    def branch(self, step: int) -> str:
+        """Phase: cloning, then the virtual trajectories."""
+        return "cloning" if step < self.pretraining else "policy"
+
+    def stage(self, first: int, count: int) -> None:
+        """Tell CUDA graphs which step comes next."""
+        if first < self.pretraining:
+            self._cloning_streams.stage(first, count)
+        else:
+            self._streams.stage(first - self.pretraining, count)
+
+    def draw(self, first: int, count: int) -> None:
+        """Draw the numbers of the step that was staged."""
+        (self._cloning_streams if first < self.pretraining else self._streams).draw(count)
+
     def update(self, step: int) -> dict[str, Tensor]:
         """One policy update on all lanes, part by part: together they would fill the memory."""
-        drawn = self._streams.at(step)
+        if step < self.pretraining:
+            return self._clone(self._cloning_streams.at(step)["row"])
+        drawn = self._streams.at(step - self.pretraining)
         memory = self._parts[0].environment.model.memory
         given = (*self._data.start_states(drawn["start"], memory), drawn["latent"])
         found = []
@@ -219,6 +252,12 @@ class Learner(StackedLearner):
         gather_gradients(self._actor, [part.actor for part in self._parts])
         self._optimizers["policy"].step()
         return {name: torch.cat([metrics[name] for metrics in found]) for name in found[0]}
+
+    def _clone(self, rows: Tensor) -> dict[str, Tensor]:
+        actions = self.act(self._data.observations(rows))
+        loss = lanewise_mean((actions - self._data.actions(rows)).square().mean(dim=-1))
+        descend(self._optimizers["cloning"], loss)
+        return {"policy/imitation_error": loss.detach()}
 
     # -- what is deployed ---------------------------------------------------------------------
 

@@ -40,6 +40,7 @@ from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
+from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.sizes import DataSizes
 from components.data.starts import start_rows
@@ -69,6 +70,7 @@ class Config:
     inertia: float = 0.7298  # w
     own_pull: float = 1.49618  # c1, towards a particle's own best
     ring_pull: float = 1.49618  # c2, towards the neighbourhood's best
+    velocity_limit: float = option(1.0)  # v_max, largest change of a weight in an iteration, in d
     starts: int = 200  # start states of a lane, the same for all particles and iterations
     horizon: int = 100  # steps of a virtual trajectory
     discount: float = 0.97  # gamma
@@ -90,6 +92,11 @@ class Config:
             )
         if min(self.box, self.own_pull, self.ring_pull) < 0:
             raise ValueError("box, own_pull and ring_pull must not be negative.")
+        if not 0 < self.velocity_limit <= 2:
+            raise ValueError(
+                f"velocity_limit must lie in (0, 2], got {self.velocity_limit}; at 2 a particle "
+                "crosses the whole box in one iteration."
+            )
         if not 0 <= self.inertia < 1:
             raise ValueError(f"inertia must lie in [0, 1), got {self.inertia}.")
 
@@ -154,7 +161,13 @@ class Learner(StackedLearner):
         drawn = [g.uniform(-1.0, 1.0, size) for g in spawn_generators(keys, "positions")]
         away = torch.from_numpy(np.stack(drawn)).float().to(centre.device)
         away[:, 0] = 0.0
-        rule = SwarmRule(config.neighbourhood, config.inertia, config.own_pull, config.ring_pull)
+        rule = SwarmRule(
+            config.neighbourhood,
+            config.inertia,
+            config.own_pull,
+            config.ring_pull,
+            config.velocity_limit,
+        )
         low, high = centre - config.box, centre + config.box
         return Swarm(rule, centre[:, None] + config.box * away, low, high)
 

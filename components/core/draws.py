@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy.special import betainc
 from torch import Tensor, nn
 
 __all__ = ["Beta", "Choice", "Draw", "Integers", "Normal", "Order", "Uniform", "UniformDouble"]
@@ -189,6 +188,8 @@ class Beta(Draw):
     _below: Tensor
 
     def __init__(self, parameter: float, *shape: int) -> None:
+        from scipy.special import betainc  # slow to import, and few learners need it
+
         super().__init__(shape, 64)
         self._width = math.pi / 2.0 / _KNOTS
         quantiles = np.sin(self._width * np.arange(_KNOTS + 1)) ** 2

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from components.environments.frame_history import FrameHistory
 from components.environments.systems import drawable_systems
 
-__all__ = ["DRAWABLE", "Take", "drawing_library", "film", "pictures_per_second"]
+__all__ = ["DRAWABLE", "Camera", "Take", "drawing_library", "film", "pictures_per_second"]
 
 DRAWABLE: Final = drawable_systems()
 """Gymnasium ids of the systems that can be drawn."""
@@ -91,6 +91,52 @@ def _works(library: str) -> bool:
         check=False,
     )
     return done.returncode == 0
+
+
+class Camera:
+    """Pictures of a robot that is simulated elsewhere; all from one thread.
+
+    Args:
+        environment: Gymnasium id, one of `DRAWABLE`.
+        parameters: of the environment, such as the physics.
+        size: of a picture, in pixels.
+
+    Raises:
+        OSError: nothing here can draw without a screen.
+    """
+
+    def __init__(self, environment: str, parameters: Mapping[str, Any], size: int = 320) -> None:
+        os.environ[_CHOICE] = drawing_library()
+        self._robot = gym.make(
+            environment,
+            disable_env_checker=True,
+            render_mode="rgb_array",
+            camera_name="track",
+            width=size,
+            height=size,
+            **parameters,
+        )
+        self._robot.reset(seed=0)
+
+    def picture(
+        self, positions: NDArray[np.float64], velocities: NDArray[np.float64]
+    ) -> NDArray[np.uint8]:
+        """The robot in a state, `[size, size, 3]`.
+
+        Args:
+            positions: `[nq]`.
+            velocities: `[nv]`.
+
+        Raises:
+            OSError: the drawing library fails.
+        """
+        robot: Any = self._robot.unwrapped
+        robot.set_state(positions, velocities)
+        return _picture(self._robot)
+
+    def close(self) -> None:
+        """Give the drawing library's context back."""
+        self._robot.close()
 
 
 def pictures_per_second(environment: str, parameters: Mapping[str, Any]) -> float:

@@ -21,6 +21,7 @@ repeats the current episode from its start with the stored actions, which gives 
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +31,13 @@ from torch import Tensor
 from components.algorithms import ddpg
 from components.core.draws import Normal, Uniform, UniformDouble
 from components.core.random_streams import LaneStreams, lane_generator, lane_key
-from components.environments.mujoco.robots import Robots
 from components.experts.replay import Replay
 from components.networks import StackedMLP
 from components.training.cuda_graphs import graphed
 from components.training.state import module_state, with_prefix
+
+if TYPE_CHECKING:  # MuJoCo is slow to import, and plans read settings alone
+    from components.environments.mujoco.robots import Robots
 
 __all__ = ["ExpertConfig", "OnlineDDPG"]
 
@@ -137,7 +140,7 @@ class OnlineDDPG:
         self,
         config: ExpertConfig,
         keys: Sequence[int],
-        robots: Robots,
+        robots: "Robots",
         replay: Replay,
         device: torch.device,
     ) -> None:

@@ -8,9 +8,9 @@ never explores fills so thin a set that even its clone hardly meets it.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from components.data.dataset import OfflineDataset
+from components.data.neighbourhood import Neighbourhood
 from components.data.splits import split_episodes
 from components.judging.rollouts import spread_rows
 
@@ -38,22 +38,12 @@ class Support:
         rows = np.arange(dataset.transitions)
         near = _pairs(dataset, spread_rows(rows[:boundary], neighbours))
         held_out = _pairs(dataset, spread_rows(rows[boundary:], neighbours))
-        deviation = near.std(axis=0)
-        # A feature that never changes says nothing, but another value of it is foreign.
-        self._scale = np.where(deviation > 0, deviation, 1.0)
-        self._tree = KDTree(near / self._scale)
-        self._limit = max(
-            float(np.quantile(self._distances(own), quantile)) for own in (held_out, familiar)
-        )
+        self._near = Neighbourhood.around(near, (held_out, familiar), quantile)
 
     def outside(self, pairs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Share of frames with actions ``[..., V, F + A]`` that lie outside, ``[...]``."""
-        share: NDArray[np.float64] = (self._distances(pairs) > self._limit).mean(axis=-1)
+        share: NDArray[np.float64] = self._near.outside(pairs).mean(axis=-1)
         return share
-
-    def _distances(self, pairs: NDArray[np.floating]) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = self._tree.query(pairs / self._scale)[0]
-        return found
 
 
 def _pairs(dataset: OfflineDataset, rows: NDArray[np.int64]) -> NDArray[np.float64]:

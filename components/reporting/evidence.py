@@ -13,7 +13,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from components.aggregation.across import Estimate, Ranks
-from components.reporting.overview import Column, Overview, Thesis
+from components.reporting.overview import Column, Overview
+from components.reporting.thesis_numbers import Thesis
 
 __all__ = ["Across", "Cell", "Evidence", "Gap", "Log"]
 
@@ -52,6 +53,8 @@ class Cell:
         pooled: Last snapshots of every seed that are pooled.
         points: The stored statistics of every proximity.
         level: Mean return of the logged behaviour; None if it is counted otherwise.
+        configurations: ``[R]`` digests of all that decides a seed's training: the keys of its runs.
+        hardware: ``[R]`` what trained them.
     """
 
     dataset: str
@@ -64,6 +67,8 @@ class Cell:
     pooled: int
     points: Sequence[Mapping[str, Any]]
     level: float | None = None
+    configurations: Sequence[str] = ()
+    hardware: Sequence[str] = ()
 
     @property
     def adapts(self) -> bool:

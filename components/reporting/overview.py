@@ -13,7 +13,9 @@ from typing import Any, Final, Literal
 
 import pandas as pd
 
-__all__ = ["Column", "Overview", "Thesis", "Value", "overview", "shown"]
+from components.reporting.thesis_numbers import Thesis
+
+__all__ = ["Column", "Overview", "Value", "overview", "shown"]
 
 _LEGEND: Final = (
     "Numbers: 10th percentile of the pooled policies' discounted returns in the real system; * the "
@@ -29,23 +31,6 @@ _SPREAD_LEGEND: Final = (
 )
 
 Point = Literal["", "0", "best", "1"]
-
-
-@dataclass(frozen=True)
-class Thesis:
-    """The thesis's value of a cell and the footnotes that it needs.
-
-    Attributes:
-        value: 10th percentile.
-        error: Its standard error.
-        marks: Of the footnotes, e.g. "¹".
-        other_discount: Whether it is discounted otherwise, so that it is no measure of agreement.
-    """
-
-    value: float
-    error: float
-    marks: str = ""
-    other_discount: bool = False
 
 
 @dataclass(frozen=True)

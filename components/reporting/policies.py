@@ -1,6 +1,9 @@
 """The data behind a report: a row per policy, snapshot and proximity."""
 
+from collections.abc import Sequence
+
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from components.reporting.evidence import Cell, Evidence
@@ -13,8 +16,9 @@ def policy_table(evidence: Evidence) -> pd.DataFrame:
 
     Returns:
         `dataset`, `algorithm`, `seed`, `updates` at the snapshot, `proximity` (NaN where the policy
-        takes none), `return`, the return `logged` (NaN where that is counted otherwise), and
-        whether the policy is `pooled`.
+        takes none), `return`, the return `logged` (NaN where that is counted otherwise),
+        whether the policy is `pooled`, the digest of its `configuration` and the `hardware` that
+        trained it (both empty if unknown).
     """
     return pd.concat([_rows(cell) for cell in evidence.cells.values()], ignore_index=True)
 
@@ -32,5 +36,13 @@ def _rows(cell: Cell) -> pd.DataFrame:
             "return": cell.returns.ravel(),
             "logged": np.nan if cell.level is None else cell.level,
             "pooled": snapshot >= snapshots - cell.pooled,
+            "configuration": _of_seeds(cell.configurations, seed),
+            "hardware": _of_seeds(cell.hardware, seed),
         }
     )
+
+
+def _of_seeds(known: Sequence[str], seed: npt.NDArray[np.intp]) -> npt.NDArray[np.str_]:
+    """What is known of every row's seed."""
+    texts = known or [""] * (int(seed.max()) + 1)
+    return np.asarray(texts, dtype=np.str_)[seed]

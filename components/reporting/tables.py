@@ -7,12 +7,12 @@ column has both, so NaN has one meaning in each column.
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
+
+from components.reporting.thesis_numbers import thesis_numbers
 
 __all__ = [
     "COLUMNS",
@@ -21,7 +21,6 @@ __all__ = [
     "read_results",
     "result_table",
     "results_csv",
-    "thesis_numbers",
     "undefined_notes",
     "with_undefined",
 ]
@@ -44,17 +43,6 @@ _FORMER_NAMES: Final = {"lambda": "proximity"}
 """Columns that had another name in older files; in summaries they still have it."""
 _FORMER: Final = COLUMNS[: -len(_INTERVAL)]
 """Columns of older files, which have no intervals."""
-
-
-@cache
-def thesis_numbers() -> Mapping[tuple[str, str], tuple[float, float]]:
-    """Tables 5.3 and 5.4: (dataset, algorithm) -> (10th percentile, standard error)."""
-    file = resources.files("components.reporting").joinpath("thesis", "tables_5_3_and_5_4.csv")
-    with file.open(encoding="utf-8") as opened:
-        table = pd.read_csv(opened)
-    pairs = zip(table["dataset"], table["algorithm"], strict=True)
-    numbers = zip(table["tenth_percentile_return"], table["standard_error"], strict=True)
-    return dict(zip(pairs, numbers, strict=True))
 
 
 def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:

@@ -10,14 +10,22 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    create_model,
+    field_validator,
+)
 from pydantic_core import ErrorDetails
 
 from flows.configuration.field_types import keys_of
+from flows.pipeline.remote.places import copy_of, is_address
 
-__all__ = ["SettingsError", "StrictModel", "build_config", "first_line", "hint"]
+__all__ = ["SettingsError", "StoreFolder", "StrictModel", "build_config", "first_line", "hint"]
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 _NO_GROUP = ("model_type", "dict_type", "dataclass_type")
@@ -44,6 +52,21 @@ class StrictModel(BaseModel):
             return value.expanduser()
         except RuntimeError as error:
             raise ValueError(f"there is no such home folder: {value}.") from error
+
+
+def _store(store: Any) -> Any:
+    if store == "":
+        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
+    if not isinstance(store, str) or not is_address(store):
+        return store
+    try:
+        return copy_of(store)
+    except ValueError as error:
+        raise SettingsError(str(error)) from error
+
+
+StoreFolder = Annotated[Path, BeforeValidator(_store)]
+"""A store: its folder, or for one that a URL names the folder of its copy on this machine."""
 
 
 def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 from components.algorithms import ALGORITHMS
 from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
+from components.experts.refinement import RefinementConfig
 from components.judging.config import JudgeConfig
 from components.models import MODELS
 from components.models.action_stochasticity import StochasticityConfig
@@ -32,7 +33,7 @@ def component_defaults() -> dict[str, Any]:
         "algorithm": {name: asdict(kind()) for name, kind in ALGORITHM_CONFIGS.items()},
         "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},
         "evaluation": asdict(EvaluationProtocol()),
-        "experts": {"training": asdict(ExpertConfig())},
+        "experts": {"training": asdict(ExpertConfig()), "refinement": asdict(RefinementConfig())},
         "judging": {"estimates": asdict(JudgeConfig())},
         "ranking": {"stochasticity": asdict(StochasticityConfig())},
     }

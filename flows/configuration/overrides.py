@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 RUNNER_ALIASES: Mapping[str, str] = {
-    name: f"runner.{name}" for name in ("repair", "max_hours", "until")
+    name: f"runner.{name}" for name in ("repair", "max_hours", "until", "pack")
 }
 """Those of every door that runs a sweep."""
 

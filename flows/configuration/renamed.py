@@ -6,7 +6,10 @@ from omegaconf import DictConfig
 
 __all__ = ["RENAMED", "rename_old_keys"]
 
-RENAMED: Mapping[tuple[str, str], str] = {("evaluation", "lambda_step"): "proximity_step"}
+RENAMED: Mapping[tuple[str, str], str] = {
+    ("evaluation", "lambda_step"): "proximity_step",
+    ("runner", "stack"): "pack",
+}
 """Old keys, each with its group, and their names of today."""
 
 

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ValidationInfo, field_validator, model_val
 
 from components.data.sources.source import SOURCE_FIELDS, DatasetSource, source_kind
 from components.evaluation.protocol import EvaluationProtocol
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.composition import DEVIATIONS
 from flows.configuration.defaults import ALGORITHM_CONFIGS
 from flows.configuration.files import CONF
@@ -62,12 +62,6 @@ def _varied(chosen: Any) -> Any:
                     f"variants.{name}.{setting}={values} must be a list of values, e.g. [0.1,0.3]."
                 )
     return chosen
-
-
-def _folder(store: Any) -> Any:
-    if store == "":
-        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
-    return store
 
 
 def _sweep_name(name: Any) -> Any:
@@ -132,7 +126,7 @@ class Settings(StrictModel):
     judging: JudgingSettings
     experts: ExpertsSettings
     runner: RunnerSettings
-    store: Annotated[Path, BeforeValidator(_folder)]
+    store: StoreFolder
     dry_run: bool
     yes: bool
     show_settings: bool

@@ -10,6 +10,7 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
+from components.experts.refinement import RefinementConfig
 from components.judging.config import JudgeConfig
 from components.models.action_stochasticity import StochasticityConfig
 from flows.configuration.checking import SettingsError, StrictModel, hint
@@ -71,12 +72,15 @@ def _different_seeds(chosen: Any) -> list[int]:
     return seeds
 
 
-def _together(stack: Any) -> Any:
-    if stack not in ("pair", "algorithm") and not (type(stack) is int and stack >= 1):
+_PACKS = ("auto", "none", "pair", "algorithm")
+
+
+def _together(pack: Any) -> Any:
+    if pack not in _PACKS and not (type(pack) is int and pack >= 1):
         raise SettingsError(
-            f"runner.stack={stack} must be pair, algorithm or a number of datasets, at least 1."
+            f"pack={pack} must be {', '.join(_PACKS)} or a number of datasets, at least 1."
         )
-    return stack
+    return pack
 
 
 def _time_of_day(time: Any) -> Any:
@@ -144,6 +148,7 @@ class ExpertsSettings(StrictModel):
     discount: float = Field(gt=0, le=1)
     install: bool
     training: ExpertConfig
+    refinement: RefinementConfig
 
 
 class RunnerSettings(StrictModel):
@@ -156,7 +161,7 @@ class RunnerSettings(StrictModel):
     device: Literal["auto", "cpu", "cuda"]
     gpu_share: float = Field(gt=0, le=1)
     precision: Literal["highest", "high", "medium"]
-    stack: Annotated[Literal["pair", "algorithm"] | int, BeforeValidator(_together)]
+    pack: Annotated[Literal["auto", "none", "pair", "algorithm"] | int, BeforeValidator(_together)]
     repair: Literal["recompute", "refuse"]
     max_hours: float | None = Field(gt=0)
     until: Annotated[str | None, BeforeValidator(_time_of_day)]

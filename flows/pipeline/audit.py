@@ -14,9 +14,9 @@ from typing import Any
 
 from components.core.integrity import DamagedFileError
 from components.core.sealed import content_digest, is_sealed
-from flows.pipeline.artifacts import Artifacts
 from flows.pipeline.errors import StoreError
 from flows.pipeline.plan import Node, Plan
+from flows.pipeline.store import ArtifactStore
 
 __all__ = ["Audit", "audit"]
 
@@ -58,8 +58,8 @@ class Audit:
         return [f"{sentence}: it is made again." for sentence in self.unusable.values()]
 
 
-def audit(plan: Plan, store: Artifacts, suspects: Mapping[str, str] | None = None) -> Audit:
-    """Looks at all nodes of a plan; changes nothing.
+def audit(plan: Plan, store: ArtifactStore, suspects: Mapping[str, str] | None = None) -> Audit:
+    """Looks at all nodes of a plan; changes nothing, but brings here what a shared store has.
 
     Args:
         plan: The plan.
@@ -67,11 +67,12 @@ def audit(plan: Plan, store: Artifacts, suspects: Mapping[str, str] | None = Non
         suspects: What somebody said about an artifact that could not be read, by key. One that has
             its digests is read again; another one is believed to be damaged.
     """
+    store.fetch(node.key for node in plan)
     return _Audit(plan, store, suspects or {}).result()
 
 
 class _Audit:
-    def __init__(self, plan: Plan, store: Artifacts, suspects: Mapping[str, str]) -> None:
+    def __init__(self, plan: Plan, store: ArtifactStore, suspects: Mapping[str, str]) -> None:
         self.plan, self.store, self.suspects = plan, store, suspects
         self.records: dict[str, dict[str, Any]] = {}
         self.unusable: dict[str, str] = {}

@@ -5,6 +5,7 @@ to rounding only, which a long training may turn into other policies: who compar
 know.
 """
 
+import gc
 import os
 import platform
 import resource
@@ -17,6 +18,7 @@ __all__ = [
     "device_model",
     "hardware",
     "processor",
+    "release_memory",
     "set_precision",
     "software",
 ]
@@ -29,6 +31,14 @@ def cpu_seconds() -> float:
     own = resource.getrusage(resource.RUSAGE_SELF)
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+def release_memory() -> None:
+    """Gives back what nobody holds any more, a GPU's memory too: others may be short of it."""
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
 
 
 def hardware(device: str) -> str:

@@ -98,6 +98,7 @@ class CostModel:
         """
         self.device, self._model = device, model
         self._found: dict[tuple[str, str], list[Measurement]] = {}
+        self._rates: dict[tuple[str, str, int], tuple[float, float]] = {}
         for record in records:
             self.learn(record)
 
@@ -126,6 +127,7 @@ class CostModel:
         if measurement.device == self.device:
             name = measurement.component, measurement.kind
             self._found.setdefault(name, []).append(measurement)
+            self._rates.clear()
 
     def knows(self, component: str, kind: str) -> bool:
         """Whether such a node has been measured itself, not only others of its component."""
@@ -140,16 +142,23 @@ class CostModel:
         if not nodes:
             return 0.0
         component, kind, lanes = nodes[0].component, kind_of(nodes[0].tags), len(nodes)
+        name = component, kind, lanes
+        if name not in self._rates:  # asked for every group of a plan at every look at it
+            self._rates[name] = self._rate(*name)
+        overhead, rate = self._rates[name]
+        return overhead + rate * sum(node.cost for node in nodes)
+
+    def _rate(self, component: str, kind: str, lanes: int) -> tuple[float, float]:
+        """Seconds of a call, and further ones per unit of cost."""
         kinds = [kind]
         if not self.knows(component, kind):
             kinds = [other for of, other in self._found if of == component]
         if not kinds:
-            return sum(node.cost for node in nodes)
+            return 0.0, 1.0
         measured = [self._newest(component, other) for other in kinds]
         # of several kinds each counts once, however often it was measured
         overhead = median(median(m.overhead for m in several) for several in measured)
-        rate = median(_seconds_per_cost(several, lanes) for several in measured)
-        return overhead + rate * sum(node.cost for node in nodes)
+        return overhead, median(_seconds_per_cost(several, lanes) for several in measured)
 
     def _newest(self, component: str, kind: str) -> list[Measurement]:
         found = self._found[component, kind]

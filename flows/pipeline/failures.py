@@ -6,9 +6,17 @@ from pathlib import Path
 from components.core.integrity import DamagedFileError
 from flows.pipeline.store import disk_error_message
 
-__all__ = ["REPAIR_REMEDY", "failure_reason"]
+__all__ = ["REPAIR_REMEDY", "failure_reason", "ran_out_of_memory"]
+
+_NO_MEMORY = ("out of memory", "allocate memory", "alloc_failed")  # of PyTorch and cuBLAS
 
 REPAIR_REMEDY = "runner.repair=recompute has it made again"
+
+
+def ran_out_of_memory(error: BaseException) -> bool:
+    """Whether a task has asked for more memory than there was, of a GPU or the computer's own."""
+    said = str(error).lower()
+    return isinstance(error, MemoryError) or any(words in said for words in _NO_MEMORY)
 
 
 def failure_reason(error: BaseException, root: Path) -> str:
@@ -22,10 +30,9 @@ def failure_reason(error: BaseException, root: Path) -> str:
     sentence = disk_error_message(error, root)
     if isinstance(error, DamagedFileError):
         sentence = f"{error.sentence}; {REPAIR_REMEDY}."
-    if sentence is None and (
-        isinstance(error, MemoryError) or "out of memory" in str(error).lower()
-    ):
+    if sentence is None and ran_out_of_memory(error):
         sentence = (
-            "Memory ran out: lower runner.cpus, so that fewer tasks run at once, or the batch."
+            "Memory ran out: lower runner.cpus, or on a GPU raise runner.gpu_share, so that fewer "
+            "tasks run at once, or lower the batch."
         )
     return f"{text}\n{sentence}" if sentence else text

@@ -23,6 +23,8 @@ _BETWEEN = 15.0  # least seconds between two lines about one component in a log
 _DAY = 24 * 3600.0
 _LONG = 3 * _DAY  # from which on a time span is told in days
 _SIGN_OF_LIFE = 60.0  # seconds after which a running component is logged without a change
+_REDRAW = 0.5  # least seconds between two looks at a run
+_SHARE = 20.0  # and least time between them, in units of what the last one took: 5 % of the driver
 _WIDTH = 80  # columns that a file or a pipe has at least, whatever COLUMNS says
 
 
@@ -50,6 +52,7 @@ class Display:
         self._live: Live | None = None
         self._shown: dict[str, tuple[int, ...]] = {}
         self._last: dict[str, float] = {}
+        self._next = float("-inf")
 
     def show_plan(
         self,
@@ -120,13 +123,18 @@ class Display:
             self._live.start(refresh=True)
 
     def update(self, run_state: RunState) -> None:
-        """Shows the present state."""
+        """Shows the present state, unless that was done a moment ago."""
+        now = time.monotonic()
+        if now < self._next:
+            return
         states = run_state.components()
         if self._live is not None:
             self._live.update(self._table(states), refresh=True)
         else:
             for state in states:
                 self._log(state)
+        done = time.monotonic()
+        self._next = done + max(_REDRAW, _SHARE * (done - now))
 
     def note(self, text: str) -> None:
         """Prints a message, above the lines that stay in place."""

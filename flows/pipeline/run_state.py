@@ -150,6 +150,10 @@ class RunState:
             self._work_done[group.component] += self.plan[key].cost
             self.costs.learn(self._store.record(key))
 
+    def add(self, groups: Sequence[Group]) -> None:
+        """Notes groups that take the place of one that has ended."""
+        self._left |= {group.name: group for group in groups}
+
     def skipped(self, key: str) -> None:
         """Notes that a node will not be run."""
         self._skipped[self.plan[key].component] += 1

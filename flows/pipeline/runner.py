@@ -17,11 +17,12 @@ from flows.pipeline.progress import Display
 from flows.pipeline.recording import Recorder
 from flows.pipeline.repair import Repairs
 from flows.pipeline.run_state import RunState
-from flows.pipeline.schedule import Group, form_groups
+from flows.pipeline.schedule import Group, form_groups, halved
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
+from flows.pipeline.waiting import Waiting
 from flows.pipeline.worker import GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
@@ -81,7 +82,7 @@ class _Run:
     def __post_init__(self) -> None:
         self.stop = Stop(self.store, self.driver, self.display.note)
         self.outcome = Outcome()
-        self.waiting: dict[str, Group] = {}
+        self.waiting = Waiting()
         self.running: dict[str, Group] = {}
         self.started = False
         self.suspects: dict[str, str] = {}  # why a finished node could not be read, by key
@@ -133,7 +134,7 @@ class _Run:
         return self.outcome
 
     def _begin(self, groups: list[Group]) -> None:
-        self.waiting = {group.name: group for group in groups}
+        self.waiting = Waiting(groups)
         if groups and not self.started:
             self.executor.start(self.display.note, self._look)
             self.run_state.slots = self.executor.slots
@@ -218,32 +219,25 @@ class _Run:
         if self.stop.why:
             return
         # One more than can run, so that no worker idles while the tracker is being written.
-        room = self.executor.slots + 1 - len(self.running)
-        settled = self.waiting.keys() | self.running.keys()
-        ready = sorted(
-            (group for group in self.waiting.values() if not group.needs & settled),
-            key=lambda group: group.order,
-        )
-        for group in ready[: max(0, room)]:
-            del self.waiting[group.name]
+        while len(self.running) <= self.executor.slots and (group := self.waiting.take()):
             self.running[group.name] = group
             self.store.clear_progress(group.name)
-            self.executor.submit(
-                GroupCall.of(
-                    group.name,
-                    self.store.root,
-                    group.nodes,
-                    self.executor.device,
-                    self.executor.threads,
-                    self.repairs,
-                    self.executor.precision,
-                )
+            call = GroupCall.of(
+                group.name,
+                self.store.root,
+                group.nodes,
+                self.executor.device,
+                self.executor.threads,
+                self.repairs,
+                self.executor.precision,
             )
+            self.executor.submit(self.store.sent(call))
             self.run_state.submitted(group.name)
 
     def _settle(self, result: GroupResult) -> list[tuple[Node, str | None]]:
         group = self.running.pop(result.group)
         self.store.clear_progress(group.name)
+        self.store.fetch(group.keys)
         for sentence in result.notes:
             self.display.note(sentence)
         for key in [key for key in result.failed if self.store.complete(key)]:
@@ -254,7 +248,7 @@ class _Run:
         for key in [key for key in result.finished if not self.store.complete(key)]:
             why[key] = f"{self.store.path(key)} was damaged when it had just been made"
             result.finished.remove(key)
-        ended = {*result.finished, *result.failed, *result.stopped}
+        ended = {*result.finished, *result.failed, *result.stopped, *result.too_many}
         left = [key for key in group.keys if key not in ended]
         if why and self.repairs:
             self.suspects |= why
@@ -263,8 +257,12 @@ class _Run:
             reason = f"{'; '.join(why.values()) or 'The worker gave no reason'}; {REPAIR_REMEDY}."
             result.failed |= dict.fromkeys(left, reason)
         if result.stopped and not self.stop.why:
-            self.waiting[group.name] = group  # another driver's stop: both compute this group
+            self.waiting.add(group)  # another driver's stop: both compute this group
+        elif not result.too_many:
+            self.waiting.left(group.name)
         self.run_state.ended(group.name, result)
+        if result.too_many:
+            self._halve(group, result.too_many)
         self.outcome.finished += result.finished
         self.new |= set(result.finished)
         records: list[tuple[Node, str | None]] = [(self.plan[k], None) for k in result.finished]
@@ -272,6 +270,17 @@ class _Run:
             records.append((self.plan[key], reason))
             self._fail(key, reason)
         return records
+
+    def _halve(self, group: Group, keys: Sequence[str]) -> None:
+        """Computes nodes for which there was no room together in two parts."""
+        halves = halved(group, keys)
+        self.waiting.divide(group, halves)
+        self.run_state.add(halves)
+        memory = "The GPU's memory" if self.executor.device == "cuda" else "Memory"
+        self.display.note(
+            f"{memory} ran out with {len(keys)} lanes, {group.nodes[0].name} and others: going on "
+            f"with {' and '.join(str(len(half.nodes)) for half in halves)}."
+        )
 
     def _fail(self, key: str, reason: str) -> None:
         self.outcome.failed[key] = reason
@@ -284,22 +293,15 @@ class _Run:
         if node.key in self.outcome.skipped or self.store.complete(node.key):
             return
         self.outcome.skipped[node.key] = because
-        self._withdraw([node.key])
+        self.waiting.withdraw([node.key])
         self.run_state.skipped(node.key)
 
     def _postpone(self, keys: Sequence[str]) -> None:
         """Leaves nodes, and what needs them, to another pass."""
         self.postponed |= set(keys)
         for key in keys:
-            self._withdraw([node.key for node in self.plan.downstream(key)])
+            self.waiting.withdraw(node.key for node in self.plan.downstream(key))
         self.run_state.postponed()
-
-    def _withdraw(self, keys: Collection[str]) -> None:
-        """Takes nodes from the waiting groups; the others of a group run without them."""
-        for name, group in list(self.waiting.items()):
-            group.nodes = [member for member in group.nodes if member.key not in keys]
-            if not group.nodes:
-                del self.waiting[name]
 
     def _record(self, node: Node, reason: str | None) -> None:
         self.recorder.record(node, reason)

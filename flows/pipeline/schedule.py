@@ -15,7 +15,7 @@ from typing import Any
 from flows.pipeline.plan import Node, Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["Group", "form_groups", "simulate_schedule"]
+__all__ = ["Group", "form_groups", "halved", "simulate_schedule"]
 
 _MANY = 10  # longest chains for each slot from which on results come early: a tenth more at worst
 
@@ -94,6 +94,21 @@ def form_groups(
     if slots is not None and sum(map(_cost, groups)) > _MANY * slots * longest:
         _results_early(groups)
     return groups
+
+
+def halved(group: Group, keys: Collection[str]) -> list[Group]:
+    """Two groups in the place of one.
+
+    Args:
+        group: The one.
+        keys: Those of its nodes that are still to be computed, two at least.
+    """
+    nodes = [node for node in group.nodes if node.key in keys]
+    middle = len(nodes) // 2
+    return [
+        Group(digest(sorted(n.key for n in part)), part, set(), group.priority, group.early)
+        for part in (nodes[:middle], nodes[middle:])
+    ]
 
 
 def _in_order(groups: list[Group]) -> list[Group]:

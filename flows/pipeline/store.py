@@ -11,13 +11,18 @@ ROOT/locks/         one lock per node that is being computed
 
 import errno
 import os
+from collections.abc import Collection, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import TypeVar
 
 from components.core.files import read_json
 from flows.pipeline.errors import StoreError
 from flows.pipeline.work import Work, WorkFolders
 
 __all__ = ["ArtifactStore", "Work", "disk_error_message"]
+
+Call = TypeVar("Call")
 
 
 def disk_error_message(error: BaseException, root: Path) -> str | None:
@@ -35,7 +40,11 @@ def disk_error_message(error: BaseException, root: Path) -> str | None:
 
 
 class ArtifactStore(WorkFolders):
-    """Finished artifacts by key, the work folders of unfinished ones, and what runs report."""
+    """Finished artifacts by key, the work folders of unfinished ones, and what runs report.
+
+    Everything in it is at hand. A :class:`.remote.shared_store.SharedStore` has to bring things and
+    to send them, and does so in the methods at the end.
+    """
 
     def __init__(self, root: Path | str, *, create: bool = True) -> None:
         """Opens a store.
@@ -94,3 +103,31 @@ class ArtifactStore(WorkFolders):
         """The fraction of a call that is done, between 0 and 1; None if it has not begun."""
         value = read_json(self.progress_file(group))
         return float(value["fraction"]) if isinstance(value, dict) else None
+
+    def fetch(self, keys: Iterable[str]) -> None:
+        """Brings the finished ones of these artifacts here, where they already are."""
+
+    def begin(self, keys: Collection[str]) -> None:
+        """Brings checkpoints of these nodes here, where they already are."""
+
+    def carrying(self, group: str, work: Work) -> AbstractContextManager[None]:
+        """Lets others see a running call's progress and checkpoints, which they do anyway."""
+        return nullcontext()
+
+    def sent(self, call: Call) -> Call:
+        """A group call as a worker can take it, wherever it is."""
+        return call
+
+    def folder(self, named: str) -> Path:
+        """A folder outside the store, as a group call names it."""
+        return Path(named)
+
+    def driven(self, name: str) -> AbstractContextManager[None]:
+        """Drives a sweep; on one machine its lock is enough, see `driver`."""
+        return nullcontext()
+
+    def send_requests(self) -> None:
+        """Sends requests to drivers to stop, which see them anyway."""
+
+    def look_again(self) -> None:
+        """Brings the records of sweeps here, where they already are."""

@@ -98,9 +98,13 @@ class WorkFolders(Artifacts):
         found = {}
         for work in self.work_folders():
             if work.resumed:
-                reached = read_json(work.path / REACHED_FILE)
-                found[self.unfinished(work)] = reached if isinstance(reached, float) else 0.0
+                found[self.unfinished(work)] = self.reached(work)
         return found
+
+    def reached(self, work: Work) -> float:
+        """The fraction that the checkpoint of a work folder holds."""
+        reached = read_json(work.path / REACHED_FILE)
+        return reached if isinstance(reached, float) else 0.0
 
     def open_work(self, keys: Sequence[str]) -> Work:
         """Finds or makes the work folder for unfinished nodes whose locks are held.

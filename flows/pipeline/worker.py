@@ -12,9 +12,15 @@ from typing import Any
 from components.core.integrity import DamagedFileError, damaged_path, load_json
 from components.core.sealed import content_digest, seal
 from components.core.version import code_version
-from flows.pipeline.computer import cpu_seconds, hardware, set_precision, software
+from flows.pipeline.computer import (
+    cpu_seconds,
+    hardware,
+    release_memory,
+    set_precision,
+    software,
+)
 from flows.pipeline.costs import RULES
-from flows.pipeline.failures import failure_reason
+from flows.pipeline.failures import failure_reason, ran_out_of_memory
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore, Work
 from flows.pipeline.task import (
@@ -43,6 +49,8 @@ class GroupCall:
         threads: Threads to use.
         precision: Of a GPU's products, see :func:`.computer.set_precision`.
         repairs: Whether damaged work is thrown away and begun anew; it fails otherwise.
+        url: Of a store that machines share; its copy here takes the place of `root`.
+        owner: The driver, for which nodes of such a store are claimed.
     """
 
     group: str
@@ -53,6 +61,8 @@ class GroupCall:
     threads: int = 1
     repairs: bool = True
     precision: str = "highest"
+    url: str = ""
+    owner: str = ""
 
     @classmethod
     def of(
@@ -99,6 +109,7 @@ class GroupResult:
         finished: Keys that are now complete in the store.
         failed: Traceback or reason per key.
         stopped: Keys whose computation the driver has stopped, for good or at a checkpoint.
+        too_many: Keys of a call that ran out of memory; fewer at once may have room.
         damaged: Why an input could not be read, by its key.
         notes: What people should know, a sentence each.
     """
@@ -107,6 +118,7 @@ class GroupResult:
     finished: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
     stopped: list[str] = field(default_factory=list)
+    too_many: list[str] = field(default_factory=list)
     damaged: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -121,28 +133,47 @@ def run_group(call: GroupCall, watch: Callable[[], None] = lambda: None) -> Grou
         watch: Called at every report, see :class:`flows.pipeline.task.TaskContext`.
     """
     os.environ["OMP_NUM_THREADS"] = str(call.threads)
-    store = ArtifactStore(call.root, create=False)
+    store = _store_of(call)
     keys = [node["key"] for node in call.nodes]
     result = GroupResult(call.group)
     try:
         with store.locked(keys):
+            store.fetch({*keys, *(key for node in call.nodes for key in node["inputs"].values())})
             # Another driver, or a worker of a killed one, may have finished some in the meantime.
-            for work in store.work_folders():
-                if store.unfinished(work) & set(keys):
-                    store.publish_ready(work)
+            works = [work for work in store.work_folders() if store.unfinished(work) & set(keys)]
+            for work in works:
+                store.publish_ready(work)
             pending = [node for node in call.nodes if not _is_finished(store, call, node, result)]
             if pending and store.pause_file(call.group).exists():
                 result.stopped = [node["key"] for node in pending]
             elif pending:
                 _compute(store, call, pending, result, watch)
+            for work in works:  # one begun for more nodes may have served its last
+                if not store.unfinished(work):
+                    store.discard(work)
     except (KeyboardInterrupt, SystemExit):  # the latter by SIGTERM, which is no failure
         raise
     except BaseException as error:
-        reason = failure_reason(error, store.root)
-        result.failed.update({key: reason for key in keys if not store.complete(key)})
-    unmade = {*result.failed, *result.stopped}
+        left = [key for key in keys if not store.complete(key)]
+        if ran_out_of_memory(error) and len(left) > 1:
+            result.too_many = left
+        else:
+            result.failed.update(dict.fromkeys(left, failure_reason(error, store.root)))
+    if result.too_many:
+        release_memory()  # now that the error, which held what the task had made, is gone
+    unmade = {*result.failed, *result.stopped, *result.too_many}
     result.finished = [key for key in keys if key not in unmade and store.complete(key)]
     return result
+
+
+def _store_of(call: GroupCall) -> ArtifactStore:
+    if not call.url:
+        return ArtifactStore(call.root, create=False)
+    from flows.pipeline.remote.shared_store import SharedStore  # most workers do without fsspec
+
+    store = SharedStore(call.url, call.owner)
+    store.forget_requests(call.group)
+    return store
 
 
 def _is_finished(
@@ -182,6 +213,7 @@ def _compute(
     if result.damaged:
         return
     keys = [node["key"] for node in nodes]
+    store.begin(keys)
     work = store.open_work(keys)
     try:
         _make(store, call, nodes, work, content, result, watch)
@@ -234,7 +266,8 @@ def _make(
     context.begin()
     started, clock, used = time.time(), time.monotonic(), cpu_seconds()
     try:
-        task(jobs, context)
+        with store.carrying(call.group, work):
+            task(jobs, context)
     except PauseRequested:
         result.stopped = keys
         return
@@ -273,7 +306,7 @@ def _make(
 
 def _job(store: ArtifactStore, work: Work, node: Mapping[str, Any]) -> Job:
     inputs = {role: store.path(key) for role, key in node["inputs"].items()}
-    inputs |= {role: Path(folder) for role, folder in node["folders"].items()}
+    inputs |= {role: store.folder(named) for role, named in node["folders"].items()}
     return Job(node["key"], node["name"], dict(node["config"]), inputs, work.out(node["key"]))
 
 

@@ -1,6 +1,6 @@
 """The cells of a benchmark: a policy of every dataset, algorithm and seed."""
 
-from components.reporting.tables import thesis_numbers
+from components.reporting.thesis_numbers import thesis_numbers
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Plan
 

@@ -59,7 +59,7 @@ def check_capacity(groups: Iterable[Group], memory: int, store: Path) -> None:
             raise SettingsError(
                 f"{group.nodes[0].name} needs at least {_size(needed)} of memory "
                 f"({_why(group.nodes)}) and this computer has {_size(memory)}; lower these "
-                "settings."
+                f"settings{' or compute fewer at once (pack)' if len(group.nodes) > 1 else ''}."
             )
         stored += sum(least_stored(node) for node in group.nodes)
     if stored > free:

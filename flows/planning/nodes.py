@@ -15,6 +15,7 @@ from flows.configuration.checking import SettingsError
 from flows.configuration.schema import Settings
 from flows.pipeline.plan import Node, digest
 from flows.planning.costs import data_cost, data_sizes, evaluation_cost
+from flows.planning.packing import evaluated_together, trained_together
 
 __all__ = [
     "COMPONENTS",
@@ -171,19 +172,9 @@ def policy_node(
         },
         inputs={role: inputs[role] for role in ("dataset", *needs)},
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
-        lanes=f"train/{algorithm.name}/{kind}{_datasets_together(settings, dataset)}",
+        lanes=trained_together(settings, f"train/{algorithm.name}/{kind}", dataset, seed),
         cost=algorithm.cost(config, data_sizes(source)),
     )
-
-
-def _datasets_together(settings: Settings, dataset: str) -> str:
-    """What tells the datasets of one program from those of others, see `runner.stack`."""
-    stack = settings.runner.stack
-    if stack == "algorithm":
-        return ""
-    if stack == "pair":
-        return f"/{dataset}"
-    return f"/{settings.datasets.index(dataset) // stack}"
 
 
 def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviour: Node) -> Node:
@@ -206,7 +197,7 @@ def evaluation_node(settings: Settings, variant: Variant, policy: Node, behaviou
         | simulated_on(spec.environment),
         inputs={"policy": policy, "behaviour_policy": behaviour},
         tags=policy.tags,
-        lanes=f"evaluate/{variant.label}/{dataset}",
+        lanes=evaluated_together(settings, variant.label, dataset, policy.config["seed"]),
         cost=evaluation_cost(
             variant.config,
             data_sizes(spec),

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator
 
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.report.gather import gather
 from flows.report.stored_nodes import has_cells, sweeps_of
@@ -46,7 +47,7 @@ class ReportSettings(StrictModel):
     sweep: Annotated[tuple[str, ...], BeforeValidator(_names)] = ()
     format: Literal["html", "markdown", "latex"] = "html"
     figures: bool = False
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
     out: Path | None = None
 
 
@@ -63,6 +64,7 @@ def load_report_settings(words: Sequence[str]) -> ReportSettings:
             raise SettingsError(f"{key} is given twice; give it once.")
         fields[key] = value
     settings: ReportSettings = build_config(ReportSettings, "", fields)
+    bring(settings.store, settings.sweep)
     if not (settings.store / "nodes").is_dir():
         raise SettingsError(
             f"store={settings.store} holds no runs; give the folder that a sweep has made."

@@ -13,8 +13,7 @@ from components.algorithms import ALGORITHMS
 from components.core.options import with_options
 from components.data.card import DatasetCard
 from components.environments import INDUSTRIAL_BENCHMARK_ID
-from components.reporting.overview import Thesis
-from components.reporting.tables import thesis_numbers
+from components.reporting.thesis_numbers import Thesis, thesis_numbers
 from flows.configuration.settings import SettingsError, load_settings
 from flows.pipeline.plan import Node
 from flows.planning.benchmark import benchmark_plan

@@ -27,7 +27,7 @@ from flows.report.graphs import graph_notes
 from flows.report.other_tables import judges_of, ranking_of, selection_of
 from flows.report.returns import cell_returns, pooled_snapshots, with_intervals
 from flows.report.software import software_notes
-from flows.report.stored_nodes import StoredSweep, has_cells, read_stored_sweep
+from flows.report.stored_nodes import StoredNode, StoredSweep, has_cells, read_stored_sweep
 
 __all__ = ["gather"]
 
@@ -148,11 +148,18 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
                 pooled=pooled_snapshots(seeds, fraction),
                 points=summary["points"],
                 level=logs[summary["dataset"]].level,
+                configurations=[run.key for run in _training(node)],
+                hardware=[str(run.record.get("hardware", "")) for run in _training(node)],
             )
         )
         summaries.append(summary)
     comparison = compare(aggregations)
     return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix))
+
+
+def _training(aggregation: StoredNode) -> list[StoredNode]:
+    """The runs that trained the policies behind a result, in the order of their seeds."""
+    return [evaluation.inputs["policy"] for evaluation in aggregation.inputs.values()]
 
 
 def _log(card: DatasetCard, level: float | None) -> Log:

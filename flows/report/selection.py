@@ -169,7 +169,7 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
         if node.component != "judgement":
             continue
         store.check(node.key, (JUDGEMENT,))
-        with np.load(store.path(node.key) / JUDGEMENT) as stored:
+        with np.load(store.path(node.key) / JUDGEMENT, allow_pickle=False) as stored:
             found = {name: stored[name] for name in stored.files}
         policy = node.inputs["policy"]
         shape = found["model"].shape
@@ -205,7 +205,7 @@ def _true_returns(
 ) -> np.ndarray:
     """Mean returns ``[S, G]`` of an evaluation; NaN at proximities that it lacks."""
     store.check(node.key, ("returns.npz",))
-    with np.load(store.path(node.key) / "returns.npz") as stored:
+    with np.load(store.path(node.key) / "returns.npz", allow_pickle=False) as stored:
         means, at, known = stored["returns"].mean(axis=-1), stored["steps"], stored["lambdas"]
     means = means[np.searchsorted(at, steps)]
     if np.isnan(proximities).all():

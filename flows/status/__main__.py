@@ -127,6 +127,7 @@ def _watch(
             if state.phase not in _LIVING:
                 return
             pause(_EVERY)
+            store.look_again()
 
 
 def _text(state: SweepState, store: ArtifactStore) -> str:

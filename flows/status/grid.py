@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from flows.pipeline.plan import Node
 from flows.status.sweep_state import SweepState
 
-__all__ = ["Part", "components", "grid"]
+__all__ = ["Part", "cell_nodes", "components", "grid"]
 
 _NOT_VARIANT = ("algorithm", "dataset", "seed")
 
@@ -67,19 +67,25 @@ def components(state: SweepState) -> dict[str, Part]:
 
 
 def grid(state: SweepState) -> dict[tuple[str, str], Part]:
-    """By algorithm and dataset, the cells: all nodes of one seed.
+    """By algorithm and dataset, the cells: all nodes of one seed."""
+    found: dict[tuple[str, str], Part] = {}
+    for pair, seeds in cell_nodes(state).items():
+        for nodes in seeds.values():
+            found.setdefault(pair, Part()).add(nodes, state)
+    return found
+
+
+def cell_nodes(state: SweepState) -> dict[tuple[str, str], dict[str, list[Node]]]:
+    """By algorithm and dataset, and there by seed, the nodes of the cells.
 
     A variant of an algorithm is told from others by the setting that its nodes are tagged with.
     """
-    cells: dict[tuple[str, str, str], list[Node]] = {}
+    cells: dict[tuple[str, str], dict[str, list[Node]]] = {}
     for node in state.plan or ():
         if {"algorithm", "dataset", "seed"} <= node.tags.keys():
-            cell = _label(node.tags), node.tags["dataset"], node.tags["seed"]
-            cells.setdefault(cell, []).append(node)
-    found: dict[tuple[str, str], Part] = {}
-    for (algorithm, dataset, _), nodes in cells.items():
-        found.setdefault((algorithm, dataset), Part()).add(nodes, state)
-    return found
+            pair = _label(node.tags), node.tags["dataset"]
+            cells.setdefault(pair, {}).setdefault(node.tags["seed"], []).append(node)
+    return cells
 
 
 def cells(state: SweepState) -> Counter[str]:

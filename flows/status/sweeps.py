@@ -5,8 +5,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flows.configuration.checking import SettingsError, StrictModel
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel
 from flows.pipeline.driver import read_driver
+from flows.pipeline.remote.bringing import glance
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
 from flows.status.sweep_state import Phase, phase_of
@@ -20,7 +21,7 @@ class SweepWords(StrictModel):
     """Which sweep of which store."""
 
     sweep: str | None = None
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,9 @@ def open_store(words: SweepWords) -> ArtifactStore:
     Raises:
         SettingsError: There is none.
     """
-    if not (words.store / "nodes").is_dir():
+    store = glance(words.store)
+    if not store.nodes.is_dir():
         raise SettingsError(
             f"store={words.store} holds no runs; give the folder that a sweep has made."
         )
-    return ArtifactStore(words.store, create=False)
+    return store

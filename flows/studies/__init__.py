@@ -9,7 +9,16 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from flows.studies import choices, collapse, online, over_proximity, trade_offs, world
+from flows.studies import (
+    autopilot,
+    choices,
+    collapse,
+    dials,
+    online,
+    over_proximity,
+    trade_offs,
+    world,
+)
 from flows.studies.study import Study
 
 __all__ = ["STUDIES"]
@@ -24,6 +33,8 @@ STUDIES: Final[Mapping[str, Study]] = MappingProxyType(
             *trade_offs.STUDIES,
             *over_proximity.STUDIES,
             choices.STUDY,
+            autopilot.STUDY,
+            dials.STUDY,
         )
     }
 )

@@ -120,6 +120,36 @@ def test_the_last_snapshot_acts_in_the_dataset_s_environment(
     assert asked["action"] == pytest.approx([0.5, -0.5, 0.25])
 
 
+def test_the_proximity_is_turned_during_a_film_and_held_at_its_ends() -> None:
+    settings = render.load_render_settings(["run=a", "out=a.gif", "lambda=0.2..0.8"])
+    turned = [settings.proximity_at(step, 101) for step in range(101)]
+    assert turned[0] == turned[15] == 0.2
+    assert turned[50] == pytest.approx(0.5)
+    assert turned[85] == turned[100] == pytest.approx(0.8)
+    assert turned == sorted(turned)
+    still = render.load_render_settings(["run=a", "out=a.gif", "lambda=0.2"])
+    assert {still.proximity_at(step, 5) for step in range(5)} == {0.2}
+
+
+@pytest.mark.slow(3)
+def test_a_system_without_a_camera_is_filmed_as_the_console_shows_it(
+    store: ArtifactStore,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "world.gif"
+    assert door(store, monkeypatch, "run=world", f"out={out}", "lambda=0..1", "steps=6") == 0
+    said = capsys.readouterr().out
+    assert "world for 6 steps; sum of rewards" in said
+    assert "of the behaviour beside it" in said
+    with imageio.get_reader(out) as reader:
+        pictures = list(reader.iter_data())
+    assert len(pictures) == 6
+    assert pictures[0].shape[:2] == (448, 720)
+    assert (pictures[0] != pictures[-1]).any()
+
+
 def test_a_film_that_fails_leaves_no_file(
     store: ArtifactStore,
     monkeypatch: pytest.MonkeyPatch,
@@ -174,8 +204,12 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
             "is not a policy but a run of data_generation; give",
         ),
         (["run=bc/hopper/seed0", "out=a.gif", "proximity=1"], "takes no proximity."),
-        (["run=lion/hopper/seed0", "out=a.gif"], "needs proximity; add e.g. proximity=0.5."),
-        (["run=bc/bad-0.4/seed0", "out=a.gif"], "which has no picture; only policies of the robot"),
+        (
+            ["run=lion/hopper/seed0", "out=a.gif"],
+            "needs proximity; add e.g. proximity=0.5, or lambda=0..1.",
+        ),
+        (["run=lion/hopper/seed0", "out=a.gif", "lambda=0..2"], "last_proximity='2': Input should"),
+        (["run=world", "out=a.gif"], "needs proximity; add e.g. proximity=0.5, or lambda=0..1."),
     ],
 )
 def test_refusals(

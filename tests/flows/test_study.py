@@ -34,9 +34,12 @@ def door(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "name a study first, e.g. world; there are world"),
+        ([], "name a study first, e.g. world; there are world, autopilot, dials"),
         (["seeds=[0]"], "name a study first"),
-        (["wrld"], "Unknown study 'wrld'; there are world. Did you mean 'world'?"),
+        (
+            ["wrld"],
+            "Unknown study 'wrld'; there are world, autopilot, dials. Did you mean 'world'?",
+        ),
         (
             ["world", "datasets=[hopper]"],
             "is about datasets=[world] algorithms=[lion]; leave these",
@@ -75,7 +78,8 @@ def test_the_door_names_its_studies_and_takes_their_settings(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert door(monkeypatch, "--help") == 0
-    assert all(name in capsys.readouterr().out for name in STUDIES)
+    said = capsys.readouterr().out
+    assert all(name in said for name in STUDIES)
     assert door(monkeypatch, "world", "seeds=[7]", "show_settings=true") == 0
     shown = capsys.readouterr().out
     assert "seeds: [7]" in shown
@@ -126,3 +130,34 @@ def test_lambda_leads_from_the_clone_to_the_best_place(
     monkeypatch.setattr("flows.pipeline.executors.serial.run_group", refuse)
     assert door(monkeypatch, "world", *fixed, *SHORT) == 0
     assert (report / "panels.png").read_bytes() == panels
+
+
+@pytest.mark.slow(25)
+def test_dials_are_compared_and_the_autopilot_flies_on_what_they_returned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The smallest budgets on one log: numbers mean nothing, but they are those of the store."""
+    fixed = [
+        "profile=smoke", "datasets=[bad-0.4]", "seeds=[0]", f"store={tmp_path}",
+        "runner.executor=serial", "runner.tracker=none", "evaluation.trajectories=3",
+    ]  # fmt: skip
+    assert door(monkeypatch, "dials", "mopo_penalties=[0,2]", "sweep=dials", *fixed) == 0
+    table = pd.read_csv(tmp_path / "reports" / "dials" / "dials.csv").set_index("algorithm")
+    assert table.index.tolist() == ["lambda_td3_bc", "lion", "mopo", "rvs"]
+    assert (table["peak"] >= table[["first", "area", "first drop"]].max(axis=1)).all()
+    assert table.loc["mopo", "at"] in (0.0, 2.0)
+    with Image.open(tmp_path / "reports" / "dials" / "dials.png") as drawn:
+        assert min(drawn.size) > 200
+
+    def refuse(*_: object) -> None:
+        raise PipelineError("something was computed again")
+
+    # The autopilot needs nothing that the other study has not stored.
+    monkeypatch.setattr("flows.pipeline.executors.serial.run_group", refuse)
+    assert door(monkeypatch, "autopilot", "sweep=autopilot", *fixed) == 0
+    flown = pd.read_csv(tmp_path / "reports" / "autopilot" / "autopilot.csv")
+    [row] = flown.to_dict("records")
+    assert row["clone"] == pytest.approx(table.loc["lion", "first"], abs=1e-9)
+    assert row["best"] == pytest.approx(table.loc["lion", "peak"], abs=1e-9)
+    assert row["clone"] >= row["autopilot: worst"]
+    assert "four times the clone's size" in capsys.readouterr().out

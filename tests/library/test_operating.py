@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import proximity_bench as pb
-from components.reporting.trajectories import trajectory_figure
 from tests.components.synthetic import make_log
 from tests.library.test_training import MODELS
 
@@ -44,24 +43,18 @@ def test_the_seed_alone_decides_the_systems_noise() -> None:
     assert not first["action gain"].equals(second["action gain"])
 
 
-def test_turning_the_slider_shows_another_trajectory() -> None:
-    slider, shown = pb.operate(LION, steps=4).children
-    before = bytes(shown.value)
+def test_playing_runs_the_machine_at_the_proximity_of_the_slider() -> None:
+    dial, shown = pb.operate(LION, steps=4).children
+    _, slider, _, play = dial.children
+    begun = bytes(shown.value)
+    assert begun.startswith(b"\x89PNG")
+    play.value = 2
+    familiar = bytes(shown.value)
+    play.value = 0  # begins again
+    assert bytes(shown.value) == begun
     slider.value = 0.75
-    assert before.startswith(b"\x89PNG")
-    assert bytes(shown.value).startswith(b"\x89PNG")
-    assert bytes(shown.value) != before
-
-
-def test_only_what_varies_is_drawn() -> None:
-    table = pb.trajectory(LION, 0.5, steps=4)
-    figure = trajectory_figure({"0.5": table}, LOG.card.frame_features, 0.97)
-    titles = [axes.get_title() for axes in figure.axes if axes.get_visible()]
-    assert "reward" in titles
-    assert "setpoint" not in titles  # it is constant
-    [legend] = figure.legends
-    total = (table["reward"] * 0.97 ** np.arange(4)).sum()
-    assert legend.get_texts()[0].get_text() == f"λ = 0.5, return {total:.1f}"
+    play.value = 2
+    assert bytes(shown.value) not in (familiar, begun)
 
 
 def test_what_cannot_be_operated_is_refused() -> None:

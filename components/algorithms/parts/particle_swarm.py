@@ -4,7 +4,7 @@ N particles search for the position of largest fitness without any gradient. Eac
 position ``b`` so far, and reads the best one ``n`` of its neighbours on a ring. A move is
 
     v <- w v + c1 r1 (b - x) + c2 r2 (n - x)    with r1, r2 ~ U(0, 1) per entry     (2.57)
-    v <- min(max(v, -v_max), v_max)             v_max: half the width of the box    (2.56)
+    v <- min(max(v, -v_max), v_max)             v_max: a share of half the box      (2.56)
     x <- min(max(x + v, low), high)                                                 (2.55, 5.20)
 
 Velocities begin at zero. The caller evaluates the positions and draws the random numbers.
@@ -28,12 +28,15 @@ class SwarmRule:
         inertia: w, what remains of a velocity.
         own_pull: c1, towards a particle's own best position.
         ring_pull: c2, towards the neighbourhood's.
+        velocity_limit: v_max, in halves of the box's width; at 1 a particle can cross the box in
+            two moves.
     """
 
     neighbourhood: int
     inertia: float
     own_pull: float
     ring_pull: float
+    velocity_limit: float = 1.0
 
 
 class Swarm(nn.Module):
@@ -61,7 +64,7 @@ class Swarm(nn.Module):
         super().__init__()
         self._rule = rule
         self._low, self._high = low[:, None], high[:, None]
-        self._limit = (self._high - self._low) / 2.0
+        self._limit = rule.velocity_limit * (self._high - self._low) / 2.0
         count, device = positions.shape[1], positions.device
         reach = rule.neighbourhood // 2
         steps = torch.arange(-reach, reach + 1, device=device)

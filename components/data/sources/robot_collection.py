@@ -11,13 +11,15 @@ that was executed.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from components.core.random_streams import lane_generator, lane_key
-from components.environments.mujoco.robots import Robots
+
+if TYPE_CHECKING:  # MuJoCo is slow to import
+    from components.environments.mujoco.robots import Robots
 
 __all__ = ["Episode", "Exploration", "collect_episodes", "episode_arrays"]
 
@@ -82,7 +84,7 @@ class Episode:
 class _Collector:
     """N copies, each of which runs the episode of some number, or is free."""
 
-    def __init__(self, robots: Robots, exploration: Exploration, horizon: int, key: int) -> None:
+    def __init__(self, robots: "Robots", exploration: Exploration, horizon: int, key: int) -> None:
         self._robots, self._exploration = robots, exploration
         self._horizon, self._key = horizon, key
         copies, width = robots.copies, len(robots.action_features)
@@ -152,7 +154,7 @@ class _Collector:
 
 def collect_episodes(
     expert: Callable[[Array], Array],
-    robots: Robots,
+    robots: "Robots",
     exploration: Exploration,
     *,
     horizon: int,

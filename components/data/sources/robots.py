@@ -10,7 +10,7 @@ Episodes end with a fall, which is terminal, or by time-out, which is not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from components.core.random_streams import lane_key
 from components.data.assembly import assemble
@@ -23,8 +23,10 @@ from components.data.sources.robot_collection import (
     collect_episodes,
     episode_arrays,
 )
-from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import PHYSICS, ROBOTS, simulator_version
+
+if TYPE_CHECKING:
+    from components.environments.mujoco.robots import Robots
 
 __all__ = ["RobotSpec"]
 
@@ -112,6 +114,8 @@ class RobotSpec:
             ValueError: the expert is damaged or was trained on another robot.
         """
         expert = self._expert()
+        from components.environments.mujoco.robots import Robots  # MuJoCo is slow to import
+
         robots = Robots(ROBOTS[self.robot], _COPIES, self.physics, threads)
         if expert.policy.card.features != tuple(robots.frame_features):
             raise ValueError(
@@ -141,7 +145,7 @@ class RobotSpec:
 
 
 def _assemble(
-    spec: RobotSpec, seed: int, expert: Expert, robots: Robots, episodes: Sequence[Episode]
+    spec: RobotSpec, seed: int, expert: Expert, robots: "Robots", episodes: Sequence[Episode]
 ) -> OfflineDataset:
     """Make a dataset of episodes and write its card."""
     return assemble(

@@ -99,6 +99,22 @@ class IndustrialBenchmark:
         self._later = ThreadPoolExecutor(1).submit if several else None
         self._allocate()
 
+    def demand(self, setpoint: float) -> None:
+        """Demand another load from all copies, from the next step on.
+
+        Args:
+            setpoint: 0 ... 100.
+
+        Raises:
+            ValueError: a setpoint outside 0 ... 100.
+        """
+        if not 0.0 <= setpoint <= 100.0:
+            raise ValueError(f"setpoint is {setpoint}; give a number from 0 to 100.")
+        self.setpoint = float(setpoint)
+        self._setpoint_cost = number(0.02 * self.setpoint)
+        self._fatigue.demand(self.setpoint)
+        self._mis_calibration.demand(self.setpoint)
+
     def _allocate(self) -> None:
         n = self.copies
         self._steerings = np.zeros((3, n))

@@ -37,7 +37,7 @@ class Fatigue:
     def __init__(self, copies: int, setpoint: float) -> None:
         self.hidden, self.effective = np.zeros((2, copies)), np.zeros((2, copies))
         self.basic = np.zeros(copies)
-        self._effective_constants(copies, setpoint)
+        self.demand(setpoint)
         # whole arrays of limits: NumPy is twice as fast on them as on broadcast numbers
         self._ones, self._caps = np.ones((2, copies)), np.full((2, copies), _CAP)
         self._pair, self._grown, self._sign = np.empty((3, 2, copies))
@@ -46,8 +46,8 @@ class Fatigue:
         self._grow = choice(self.hidden, self._sign, self._grown)
         self._take_effective = choice(self.hidden, self._sign, self.effective)
 
-    def _effective_constants(self, copies: int, setpoint: float) -> None:
-        """Coefficients of effective velocity and gain (equations 3.20-3.23) at this setpoint.
+    def demand(self, setpoint: float) -> None:
+        """Take the coefficients of effective velocity and gain (equations 3.20-3.23) at a setpoint.
 
         Both have the form numerator / (steering + shift) + offset.
         """
@@ -65,7 +65,7 @@ class Fatigue:
         offsets = (1.0 + velocity(0.0, 100.0) / span, -gain(100.0) * gain_scale)
         self._effective_offsets = np.array(offsets)[:, None]
         self._effective_shifts = np.array((101.0 - p, p + 1.0))[:, None]
-        self._numerator = np.full((2, copies), gain_scale)  # the gain's row never changes
+        self._numerator = np.full(self.hidden.shape, gain_scale)  # the gain's row never changes
 
     def step(self, steerings: Array, source: NoiseSource) -> Array:
         """Move the hidden state by one step.

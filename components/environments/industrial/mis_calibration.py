@@ -37,11 +37,15 @@ class MisCalibration:
     def __init__(self, copies: int, setpoint: float) -> None:
         self.latents = np.zeros(copies, dtype=np.intp)
         self.shift, self.potential = np.zeros(copies), np.zeros(copies)
-        self._offset = number(setpoint / 50.0 + 1.5)
+        self.demand(setpoint)
         self._tables = GoldstoneTables.build()
         self._scaled, self._excess, self._constant = np.empty((3, copies))
         self._side = self._scaled.view(np.int64)
         self._index = np.empty(copies, dtype=np.intp)
+
+    def demand(self, setpoint: float) -> None:
+        """Take the centre of the effective shift at a setpoint (equation 3.5)."""
+        self._offset = number(setpoint / 50.0 + 1.5)
 
     def step(self, steering: Array) -> None:
         """Follow the steering `[N]` of the shift (equations 3.5, 3.6 and 3.9-3.16)."""

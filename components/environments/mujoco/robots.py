@@ -148,6 +148,10 @@ class Robots:
             rewards[ids] = self._advance(ids, np.clip(wanted[ids], -1.0, 1.0))
         return self._frames(), rewards
 
+    def state(self) -> tuple[Array, Array]:
+        """Copies of positions `[N, nq]` and velocities `[N, nv]`, those unseen in frames, too."""
+        return self._simulations.positions.copy(), self._simulations.velocities.copy()
+
     def _advance(self, ids: NDArray[np.intp], torques: Array) -> Array:
         """Simulate the copies that stand, update `terminated`, and return the rewards `[M]`."""
         robot, simulations = self._robot, self._simulations

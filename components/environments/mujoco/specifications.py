@@ -16,6 +16,7 @@ import importlib.metadata
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -243,6 +244,7 @@ def load_model(robot: Robot, physics: str) -> "mujoco.MjModel":
     return spec.compile()
 
 
+@cache
 def simulator_version() -> str:
     """Name and version of the simulator, for the cards of what was made with it.
 

@@ -25,7 +25,8 @@ def machine_probe() -> Callable[[str], dict[str, Any]]:
 
     It is made here, inside a function, so that it travels as code and runs where this package is
     missing or another one. It returns the code's folder, digest and version, the versions of
-    Python and PyTorch, and whether the token is seen and its folder can be written.
+    Python and PyTorch, and whether the token, a file or the URL of an object, is seen and its
+    folder can be written.
     """
 
     def describe(token: str) -> dict[str, Any]:
@@ -47,7 +48,7 @@ def machine_probe() -> Callable[[str], dict[str, Any]]:
             "host": platform.node(),
             "python": ".".join(platform.python_version_tuple()[:2]),
             "torch": version("torch").partition("+")[0],
-            "version": version("proximity-bench"),
+            "version": os.environ.get("PROXIMITY_BENCH_VERSION") or version("proximity-bench"),
             "folder": "",
             "code": "",
         }
@@ -63,6 +64,20 @@ def machine_probe() -> Callable[[str], dict[str, Any]]:
             found["folder"] = str(folder.parent)
         else:
             found["code"] = code.hexdigest()
+        if "://" in token:
+            found |= {"store": False, "writable": True, "why": "a package of fsspec is missing"}
+            try:
+                from flows.pipeline.errors import StoreError
+                from flows.pipeline.remote.shared_store import SharedStore
+            except ImportError:
+                return found
+            url, _, name = token.rpartition("/locks/")
+            try:
+                found["store"] = SharedStore(url).objects.read(f"locks/{name}") is not None
+                found["why"] = "it is empty there"
+            except (StoreError, ValueError) as error:
+                found["why"] = str(error)
+            return found
         deadline = time.monotonic() + 10.0  # a folder in the network may show a new file late
         while not Path(token).is_file() and time.monotonic() < deadline:
             time.sleep(0.2)
@@ -73,14 +88,14 @@ def machine_probe() -> Callable[[str], dict[str, Any]]:
     return describe
 
 
-def fault(machine: str, theirs: Record | None, ours: Record, root: Path) -> str:
+def fault(machine: str, theirs: Record | None, ours: Record, root: Path | str) -> str:
     """What is wrong with a machine, with the remedy, in one sentence; empty if nothing is.
 
     Args:
         machine: Its address.
         theirs: What the probe found there; None if it did not answer.
         ours: What it found here.
-        root: Folder of the store.
+        root: Folder of the store, or its URL.
     """
     if theirs is None:
         return f"{machine} does not answer: repair it."
@@ -102,6 +117,8 @@ def fault(machine: str, theirs: Record | None, ours: Record, root: Path) -> str:
             f"{machine} has other code in {theirs['folder']} than this computer in "
             f"{ours['folder']}: bring both to the same state, and start Ray there again."
         )
+    if not theirs["store"] and theirs.get("why"):
+        return f"{machine} cannot use the store ({theirs['why'].rstrip('.')})."
     if not theirs["store"]:
         return f"{machine} does not see the folder {root}: choose a store that all machines share."
     if not theirs["writable"]:
@@ -109,12 +126,15 @@ def fault(machine: str, theirs: Record | None, ours: Record, root: Path) -> str:
     return ""
 
 
-def check_machines(ray: Any, root: Path, patience: float = _PATIENCE) -> None:
+def check_machines(
+    ray: Any, root: Path, url: str | None = None, patience: float = _PATIENCE
+) -> None:
     """Asks every machine that may get work, all at once.
 
     Args:
         ray: The module, connected.
         root: Folder of the store.
+        url: Of the shared store that it is a copy of, if it is one.
         patience: Seconds to wait for answers.
 
     Raises:
@@ -123,7 +143,7 @@ def check_machines(ray: Any, root: Path, patience: float = _PATIENCE) -> None:
     pinned = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
     describe = machine_probe()
     nodes = [n for n in ray.nodes() if n["Alive"] and n["Resources"].get("CPU")]
-    with _token(root) as token:
+    with _object(url) if url else _token(root) as token:
         asked = {}
         for node in nodes:
             strategy = pinned(node["NodeID"], soft=False)
@@ -131,7 +151,8 @@ def check_machines(ray: Any, root: Path, patience: float = _PATIENCE) -> None:
             asked[probe.remote(token)] = node["NodeManagerAddress"]
         ray.wait(list(asked), num_returns=len(asked), timeout=patience)
         ours = describe(token)
-        found = (fault(machine, _answer(ray, it), ours, root) for it, machine in asked.items())
+        place = url or root
+        found = (fault(machine, _answer(ray, it), ours, place) for it, machine in asked.items())
         wrong = sorted({sentence for sentence in found if sentence})
     if wrong:
         raise PipelineError(
@@ -160,3 +181,16 @@ def _token(root: Path) -> Iterator[str]:
         yield str(path)
     finally:
         path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _object(url: str) -> Iterator[str]:
+    """An object in a shared store, by its URL."""
+    from flows.pipeline.remote.objects import Objects
+
+    objects, name = Objects(url), f"locks/.probe-{secrets.token_hex(8)}"
+    objects.write(name, b"seen")
+    try:
+        yield f"{url}/{name}"
+    finally:
+        objects.delete([name])

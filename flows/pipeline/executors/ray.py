@@ -9,14 +9,16 @@ against a group only while Ray itself lives.
 import contextlib
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.cluster import Cluster, check_address
+from flows.pipeline.executors.code import PACKAGES, code_environment
 from flows.pipeline.executors.local_ray import LocalRay, set_environment
 from flows.pipeline.executors.machines import check_machines
+from flows.pipeline.executors.preflight import check_admission
 from flows.pipeline.executors.processors import available_cpus, check_threads
 from flows.pipeline.signals import deferred_signals
 from flows.pipeline.worker import GroupCall, GroupResult, run_group
@@ -37,7 +39,9 @@ class RayExecutor:
         gpus_per_task: float = 0.5,
         retries: int = 3,
         root: Path | None = None,
+        url: str | None = None,
         precision: str = "highest",
+        packages: Sequence[str] = PACKAGES,
     ) -> None:
         """Describes the cluster; nothing starts before `start`.
 
@@ -49,7 +53,10 @@ class RayExecutor:
             gpus_per_task: Share of a GPU that one group occupies if the device is "cuda".
             retries: How often a group is started again after its worker died.
             root: Folder of the store; every machine of a cluster is asked whether it sees it.
+            url: Of a store that machines of a cluster share instead of a folder; they need not have
+                the code either, which travels with the job.
             precision: Of a GPU's products of float32.
+            packages: What travels.
 
         Raises:
             PipelineError: a task would take more processors than there are.
@@ -64,7 +71,7 @@ class RayExecutor:
         self._gpus = gpus_per_task if device == "cuda" else 0.0
         self.slots = max(1, _places(self._cpus, threads, gpus, self._gpus))
         self._retries = retries
-        self._root = root
+        self._root, self._url, self._packages = root, url, packages
         self._ray: Any = None
         self._place: LocalRay | Cluster | None = None
         self._running: dict[Any, tuple[GroupCall, int]] = {}
@@ -88,7 +95,14 @@ class RayExecutor:
             check_address(address)
         import ray  # reads its environment at import, and costs a second
 
-        place = Cluster(address) if address else LocalRay(self._cpus)
+        place: Cluster | LocalRay
+        if address:
+            check_admission(ray, address)
+            place = Cluster(address)
+            if self._url:
+                place.options["runtime_env"] = code_environment(self._packages)
+        else:
+            place = LocalRay(self._cpus)
         self._place = place
         # An interrupt in the middle of Ray's start has crashed in native code.
         with deferred_signals():
@@ -111,7 +125,7 @@ class RayExecutor:
             cpus, gpus = (int(resources.get(name, 0)) for name in ("CPU", "GPU"))
             self.slots = _places(cpus, self.threads, gpus, self._gpus)
             if self._root is not None:
-                check_machines(ray, self._root)
+                check_machines(ray, self._root, self._url)
         if self.slots < 1 or (self._gpus and not ray.cluster_resources().get("GPU")):
             raise PipelineError(
                 f"Ray offers no place for a task with {self.threads} processors on "
@@ -182,6 +196,8 @@ class RayExecutor:
                 )
                 self._begin(call, deaths + 1)
                 return None
+            if memory and len(call.nodes) > 1:
+                return GroupResult(call.group, too_many=[node["key"] for node in call.nodes])
             remedy = (
                 "lower runner.cpus, so that fewer tasks run at once, or the batch"
                 if memory

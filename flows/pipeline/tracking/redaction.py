@@ -13,7 +13,19 @@ from urllib.parse import parse_qsl, quote, quote_plus, unquote
 __all__ = ["without_secrets"]
 
 _HIDDEN = "***"
-_VARIABLES = ("MLFLOW_TRACKING_PASSWORD", "MLFLOW_TRACKING_TOKEN", "DATABRICKS_TOKEN")
+_VARIABLES = (
+    "AWS_SECRET_ACCESS_KEY",
+    "AWS_SESSION_TOKEN",
+    "AZURE_STORAGE_ACCOUNT_KEY",
+    "AZURE_STORAGE_CONNECTION_STRING",
+    "AZURE_STORAGE_SAS_TOKEN",
+    "DATABRICKS_TOKEN",
+    "FSSPEC_S3_SECRET",
+    "FSSPEC_S3_TOKEN",
+    "MLFLOW_TRACKING_PASSWORD",
+    "MLFLOW_TRACKING_TOKEN",
+    "RAY_AUTH_TOKEN",
+)
 _SECRET_NAME = re.compile("token|key|secret|pass|pwd|auth|sig|cred", re.IGNORECASE)
 _SHORTEST = 4  # letters of a secret that is hidden also outside of addresses
 _LONG = 12  # letters from which on any value of a query may be a secret

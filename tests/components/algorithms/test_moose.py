@@ -10,6 +10,7 @@ from components.algorithms import moose
 from components.algorithms.moose import Config, Learner, mixed_return
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_key
+from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.models.action_vae import ActionVAEConfig, fit_action_vae
 from components.models.mlp_ensemble.ensemble import MLPTransition
@@ -274,11 +275,35 @@ def test_the_share_of_saturated_actions_is_logged() -> None:
     assert made.update(1)["policy/saturated_share"].item() == pytest.approx(2 / 3)
 
 
-def chosen_by(made: Learner) -> np.ndarray:
+def chosen_by(made: Learner, log: OfflineDataset = LOG) -> np.ndarray:
     """Deployed actions ``[N, A]`` in all logged states."""
-    histories = np.stack([history_of(LOG, row) for row in range(LOG.transitions)])
-    policy = made.policy(policy_card(LOG))
+    histories = np.stack([history_of(log, row) for row in range(log.transitions)])
+    policy = made.policy(policy_card(log))
     return policy.act(torch.from_numpy(histories).float()[None])[0].numpy()
+
+
+@pytest.mark.slow(2)
+def test_it_may_begin_as_a_clone() -> None:
+    log = make_log(explore=0.0)
+    logged = controller(log.frames[log.frame_rows()][:, 1:4].astype(np.float64))
+    away, made = [], moose_learner((OTHER, log), (1, 0), cloning=300, hidden=(32,))
+    assert made.pretraining == 300
+    for cloning in (0, 300):
+        alone = moose_learner((log,), cloning=cloning, hidden=(32,))
+        for metrics in run(alone, cloning):
+            assert set(metrics) == {"policy/imitation_error"}
+        away.append(float(np.square(chosen_by(alone, log) - logged).mean()))
+    assert away[1] < 0.1 * away[0]  # measured 0.22 and then 0.001
+    run(made, 300)
+    for whole, own in zip(made._actor.parameters(), alone._actor.parameters(), strict=True):
+        # three hundred steps of Adam, side by side and alone
+        torch.testing.assert_close(whole[1:], own, rtol=1e-2, atol=1e-3)
+    # What follows is the update without cloning, with its draws, from where cloning has ended.
+    usual = moose_learner((log,), hidden=(32,))
+    usual._networks["policy"].load_state_dict(alone._networks["policy"].state_dict())
+    [after], [plain] = run(alone, 1, 300), run(usual, 1)
+    for name, value in plain.items():
+        assert torch.equal(after[name], value)
 
 
 @pytest.mark.slow(1)

@@ -287,6 +287,26 @@ def test_a_wider_box_finds_more() -> None:
     assert found[2] - found[1] > found[1] - found[0] > 0.0
 
 
+def test_no_weight_changes_by_more_than_the_velocity_limit() -> None:
+    logs, sizes = [LOG, OTHER], {"box": 0.3, "velocity_limit": 0.1}
+    made = learner("wsbc", logs, [0, 1], **sizes)
+    reached = 0.0
+    for step in range(10):
+        before = made._swarm.positions.clone()
+        run(made, 1, step)
+        moved = float((made._swarm.positions - before).abs().max())
+        assert moved <= 0.1 * 0.3 + 1e-6  # float32
+        reached = max(reached, moved)
+    assert reached > 0.99 * 0.03, "the limit must have been felt"
+    alone = learner("wsbc", logs[1:], [1], **sizes)
+    for step in range(10):
+        run(alone, 1, step)
+    # ten iterations in float32, side by side and alone
+    torch.testing.assert_close(
+        made._swarm.positions[1:], alone._swarm.positions, rtol=1e-4, atol=1e-5
+    )
+
+
 def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
     log = make_log(history=30)
     clone = random_policy(log, ("big",), hidden=20)
@@ -314,6 +334,8 @@ def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
         ({"neighbourhood": 201}, "must be odd and at most the number of particles"),
         ({"box": -0.1}, "must not be negative"),
         ({"ring_pull": -1.0}, "must not be negative"),
+        ({"velocity_limit": 0.0}, r"velocity_limit must lie in \(0, 2\], got 0.0"),
+        ({"velocity_limit": 2.1}, r"velocity_limit must lie in \(0, 2\], got 2.1"),
         ({"inertia": 1.0}, r"inertia must lie in \[0, 1\), got 1.0"),
         ({"discount": 0.0}, r"discount must lie in \(0, 1\], got 0.0"),
     ],

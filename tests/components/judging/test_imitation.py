@@ -1,5 +1,7 @@
 """Errors on logged actions, by a loop over single states."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -19,7 +21,7 @@ def test_errors_are_those_of_every_logged_action(monkeypatch: pytest.MonkeyPatch
     stack = Policy.concatenate(policies[0].card, policies)
     history, starts = stack.card.history, LOG.episode_starts
     by_hand = np.zeros(2)
-    for episode, (first, end) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+    for episode, (first, end) in enumerate(pairwise(starts)):
         for row in range(first, end):
             newest = row + episode  # every episode has a frame more than transitions
             lags = [max(newest - lag, first + episode) for lag in range(history)]

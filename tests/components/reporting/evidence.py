@@ -8,8 +8,9 @@ import pandas as pd
 
 from components.aggregation.across import Estimate, Ranks
 from components.reporting.evidence import Across, Cell, Evidence, Gap, Log
-from components.reporting.overview import Thesis, overview
+from components.reporting.overview import overview
 from components.reporting.tables import result_table
+from components.reporting.thesis_numbers import Thesis
 
 GRID = np.array([0.0, 0.5, 1.0])
 LEVELS = {"bad-0.4": -214.0, "mediocre-0.2": -77.0}

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from components.reporting.overview import Column, Overview, Thesis, overview, shown
+from components.reporting.overview import Column, Overview, overview, shown
 from components.reporting.overview_text import latex_overview, markdown_overview, text_overview
 from components.reporting.tables import result_table
+from components.reporting.thesis_numbers import Thesis
 from tests.components.reporting.summaries import LION, TD3_BC, point
 
 PAIR = ("mediocre-0.2", "td3_bc")

@@ -14,10 +14,10 @@ from components.reporting.tables import (
     read_results,
     result_table,
     results_csv,
-    thesis_numbers,
     undefined_notes,
     with_undefined,
 )
+from components.reporting.thesis_numbers import thesis_numbers
 from tests.components.reporting.summaries import LION, TD3_BC, point
 
 CONF = Path(__file__).parents[3] / "conf" / "dataset"

@@ -8,8 +8,9 @@ import pytest
 from components.reporting.agreement import agreement_table, correlation_rows
 from components.reporting.documents import latex_document, markdown_document
 from components.reporting.evidence import Evidence, Log
-from components.reporting.overview import Column, Overview, Thesis
+from components.reporting.overview import Column, Overview
 from components.reporting.policies import policy_table
+from components.reporting.thesis_numbers import Thesis
 from components.reporting.verdicts import Verdict, verdicts
 from tests.components.reporting.evidence import CELLS, SYSTEM, evidence
 

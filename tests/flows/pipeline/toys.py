@@ -104,6 +104,23 @@ def steps(jobs: Sequence[Job], context: TaskContext) -> None:
         finish(job, values[job.key])
 
 
+def needs_room(jobs: Sequence[Job], context: TaskContext) -> None:
+    """Counts like `steps`, but finds no memory after the first one if there are too many lanes.
+
+    There is room for as many as the file `room` in the log folder says.
+    """
+    import torch  # most toys do without it
+
+    config = jobs[0].config
+    state = read_json(context.work / "checkpoint.json")
+    if len(jobs) > int((Path(config["log"]) / "room").read_text()):
+        if state is None:
+            values = {job.key: job.config["number"] for job in jobs}
+            write_json(context.work / "checkpoint.json", {"step": 1, "values": values})
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
+    steps(jobs, context)
+
+
 def checked_steps(jobs: Sequence[Job], context: TaskContext) -> None:
     """Adds up in the loop that all learners use, with its checkpoints."""
     from tests.flows.pipeline.toy_learner import learn  # most toys do without PyTorch

@@ -62,7 +62,7 @@ def test_every_component_has_its_nodes() -> None:
         "runner.threads=2",
         "runner.device=cpu",
         "runner.gpu_share=0.1",
-        "runner.stack=algorithm",
+        "pack=algorithm",
         "store=elsewhere",
         "sweep=named",
         "dry_run=true",
@@ -190,14 +190,14 @@ def test_seeds_of_a_pair_are_lanes_of_one_program() -> None:
 
 
 def test_datasets_of_an_algorithm_can_be_lanes_too() -> None:
-    made = plan("runner.stack=algorithm")
+    made = plan("pack=algorithm")
     training = {n.lanes for n in made if n.component == "policy_training"}
     assert len(training) == 2
 
 
 def test_a_program_can_have_a_number_of_datasets() -> None:
     three = "datasets=[bad-0.4,mediocre-0.2,optimized-0.6]"
-    made = plan(three, "runner.stack=2")
+    made = plan(three, "pack=2")
     lanes = {n.name: n.lanes for n in made if n.component == "policy_training"}
     assert lanes["lion/bad-0.4/seed0"] == lanes["lion/mediocre-0.2/seed1"]
     assert lanes["lion/bad-0.4/seed0"] != lanes["lion/optimized-0.6/seed0"]
@@ -205,10 +205,44 @@ def test_a_program_can_have_a_number_of_datasets() -> None:
     assert keys(made) == keys(plan(three))
 
 
-@pytest.mark.parametrize("stack", ["0", "2.5", "pairs"])
-def test_a_program_of_no_datasets_is_refused(stack: str) -> None:
-    with pytest.raises(SettingsError, match=r"must be pair, algorithm or a number of datasets"):
-        plan(f"runner.stack={stack}")
+@pytest.mark.parametrize("pack", ["0", "2.5", "pairs"])
+def test_a_program_of_no_datasets_is_refused(pack: str) -> None:
+    with pytest.raises(SettingsError, match=r"must be auto, .* or a number of datasets"):
+        plan(f"pack={pack}")
+
+
+def lanes_of(made: Plan, component: str) -> list[set[str]]:
+    """Names of the nodes that are computed together."""
+    together: dict[str, set[str]] = {}
+    for n in made:
+        if n.component == component:
+            together.setdefault(n.lanes, set()).add(n.name)
+    return sorted(together.values(), key=min)
+
+
+def test_every_policy_can_be_trained_and_evaluated_by_itself() -> None:
+    made = plan("pack=none")
+    assert len(lanes_of(made, "policy_training")) == made.counts()["policy_training"]
+    assert len(lanes_of(made, "evaluation")) == made.counts()["evaluation"]
+    assert keys(made) == keys(plan())
+
+
+def test_the_device_chooses_what_is_trained_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    components = ("policy_training", "evaluation")
+
+    def packs(*words: str) -> list[list[set[str]]]:
+        made = benchmark_plan(load_settings(overridden(BASE, words)))
+        return [lanes_of(made, component) for component in components]
+
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert packs() == packs("pack=pair")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    assert packs() == packs("pack=algorithm")
+    assert packs("runner.device=cpu") == packs("pack=pair")
+
+
+def test_the_old_word_for_packing_is_understood() -> None:
+    assert load_settings([*BASE, "runner.stack=algorithm"]).runner.pack == "algorithm"
 
 
 def test_algorithms_and_seeds_share_the_models() -> None:
@@ -258,7 +292,7 @@ def test_policies_of_a_seed_can_have_models_of_their_own() -> None:
 
 
 def test_models_of_other_shapes_are_no_lanes_of_one_stack() -> None:
-    settings = load_settings([*BASE, "runner.stack=algorithm"])
+    settings = load_settings([*BASE, "pack=algorithm"])
     choice = model_choice(settings)
     pair = ("bad-0.4", "recurrent_ensemble")
     wider = replace(choice.configs[pair], hidden=9)

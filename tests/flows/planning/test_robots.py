@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from components.data.sources.robots import RobotSpec
+from components.environments.mujoco.specifications import simulator_version
 from flows.configuration.settings import Settings, SettingsError, load_settings
 from flows.pipeline.plan import Plan
 from flows.pipeline.task import Job, TaskContext, load_task
@@ -63,6 +64,7 @@ def test_policies_are_evaluated_on_the_robot_they_learned_from(planned: Settings
 
 def with_mujoco(version: str, patched: pytest.MonkeyPatch) -> None:
     patched.setattr("importlib.metadata.version", lambda package: version)
+    simulator_version.cache_clear()  # read once per process
 
 
 def test_the_simulator_is_part_of_the_keys_of_robots_alone(
@@ -120,7 +122,7 @@ def test_another_simulator_than_the_planned_one_is_refused(
 
 
 def test_robots_of_different_shapes_are_no_lanes_of_one_stack(planned: Settings) -> None:
-    runner = planned.runner.model_copy(update={"stack": "algorithm"})
+    runner = planned.runner.model_copy(update={"pack": "algorithm"})
     plan = benchmark_plan(planned.model_copy(update={"runner": runner}))
     lanes: dict[str, set[str]] = {}
     for node in plan:

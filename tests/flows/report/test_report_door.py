@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from components.core.files import read_json
 from components.core.integrity import DamagedFileError
 from components.reporting.tables import read_results
 from flows.configuration.checking import SettingsError
@@ -54,6 +55,11 @@ def test_the_numbers_are_those_of_the_sweeps_own_table(smoke: SmokeRun, tmp_path
     policies = pd.read_parquet(tmp_path / "policies.parquet")
     assert len(policies) == 2 * 4 * (12 + 3 * 3)  # seeds, snapshots, policies with three λ or none
     table = read_results(smoke.store / "reports" / "smoke" / "results.csv")
+    for (_, seed), key in policies.groupby(["algorithm", "seed"])["configuration"].unique().items():
+        [node] = key
+        record = read_json(smoke.store / "nodes" / node / "node.json")
+        assert (record["component"], record["tags"]["seed"]) == ("policy_training", str(seed))
+        assert set(policies[policies["configuration"] == node]["hardware"]) == {record["hardware"]}
     pooled = policies[policies["pooled"]].fillna({"proximity": -1.0})
     means = pooled.groupby(["algorithm", "proximity"])["return"].mean()
     stored = table.fillna({"proximity": -1.0}).set_index(["algorithm", "proximity"])["mean"]

@@ -30,8 +30,8 @@ RUNS = {
     "table-6.1": ["datasets=[bad-0.4]", "mopo_penalties=[0,2.5]"],
 }
 COMMON = ["profile=smoke", "runner.executor=serial", "runner.tracker=none", "seeds=[0]"]
-ONES_OWN = {"figure-6.1", "figure-6.5", "figure-6.8", "world"}
-"""Parts of those above, and the 2-D world, which has a test of its own."""
+ONES_OWN = {"figure-6.1", "figure-6.5", "figure-6.8", "autopilot", "dials", "world"}
+"""Parts of those above, and those that have tests of their own."""
 
 
 def test_every_study_is_run() -> None:
@@ -106,7 +106,7 @@ def test_an_offline_choice_needs_no_system() -> None:
 
 def test_only_robots_learn_online() -> None:
     known = STUDIES["figure-2.3"]
-    with pytest.raises(SettingsError, match="bad-0.4 is no robot"):
+    with pytest.raises(SettingsError, match=r"bad-0\.4 is no robot"):
         known.plan(load_settings(known.words(["datasets=[bad-0.4]"])))
 
 

@@ -55,7 +55,7 @@ def test_a_user_stops_before_the_best_of_a_zigzag() -> None:
     assert (row["start"], row["knob"], row["final return"]) == (-90.0, 1.5, -85.0)
     assert (row["tried"], row["worst tried"]) == (3, -90.0)
     assert (row["best there is"], row["at"]) == (-60.0, 0.5)
-    assert row["turns"] == 3
+    assert row["zigzag"] == 6.0, "down by 3 and up again, before the best"
     # what thesis table 6.1 prints for MOPO on this log
     assert (row["thesis knob"], row["thesis return"]) == (2.4, -107.2)
 

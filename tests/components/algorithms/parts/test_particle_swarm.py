@@ -1,6 +1,7 @@
 """The swarm by hand and by plain loops, and on functions whose minima are known."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,6 +54,23 @@ def test_velocities_and_positions_are_clipped() -> None:
     made.move(torch.zeros(1, 3, 2), torch.zeros(1, 3, 2))
     assert made.velocities[0].tolist() == [[2.0, -2.0], [0.0, 0.0], [-2.0, 2.0]]
     assert made.positions[0].tolist() == [[2.0, -2.0], [-1.0, 0.0], [-2.0, 2.0]]
+
+
+@pytest.mark.parametrize("limit", [0.03, 0.4, 1.0])
+def test_no_velocity_exceeds_its_share_of_half_the_box(limit: float) -> None:
+    low, high = -1.0, 3.0  # half the box: 2
+    rule = replace(USUAL, velocity_limit=limit)
+    rng = np.random.default_rng(1)
+    made = swarm(rule, rng.uniform(low, high, (1, 8, 5)).tolist(), low, high)
+    reached = []
+    for _ in range(20):
+        before = made.positions.clone()
+        made.remember(torch.from_numpy(rng.normal(size=(1, 8))))
+        made.move(*torch.from_numpy(rng.random((2, 1, 8, 5))))
+        # one rounding of a double
+        assert (made.positions - before).abs().max() <= 2.0 * limit + 1e-12
+        reached.append(float(made.velocities.abs().max()))
+    assert max(reached) == pytest.approx(2.0 * limit), "the limit must have been felt"
 
 
 @pytest.mark.parametrize(("count", "neighbourhood"), [(7, 3), (200, 31), (5, 5)])

@@ -1,0 +1,91 @@
+"""Turn the proximity while a machine runs, in a browser: ``python -m flows.console``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import Field
+
+from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.overrides import split_word
+from flows.door import run_door
+from flows.pipeline.signals import exit_code
+
+__all__ = ["ConsoleSettings", "load_console_settings", "run"]
+
+HELP = """\
+usage: python -m flows.console [KEY=VALUE ...]
+
+Open the operator's console: choose a policy, turn its proximity with a slider while the machine
+runs and watch what it does beside the logged behaviour; or look at a sweep. A turbine and the 2-D
+world are shipped, so nothing has to be trained. The server listens on 127.0.0.1 alone, until
+Ctrl-C.
+
+  store=mlruns   folder of the runs, whose policies are offered and whose sweeps are shown; sessions
+                 are saved below its sessions/
+  port=8085      of the server; a free one by default
+  replay=FOLDER  instead: decide again as a saved session says, and compare every byte of it
+"""
+
+
+class ConsoleSettings(StrictModel):
+    """Where to listen and what to offer."""
+
+    store: Path = Path("mlruns")
+    port: int | None = Field(default=None, ge=1, le=65535)
+    replay: Path | None = None
+
+
+def load_console_settings(words: Sequence[str]) -> ConsoleSettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, str] = {}
+    for word in words:
+        key, value = split_word(word)
+        key = key.removeprefix("console.")
+        if fields.setdefault(key, value) != value:
+            raise SettingsError(f"{key} is given twice; give it once.")
+    settings: ConsoleSettings = build_config(ConsoleSettings, "", fields)
+    return settings
+
+
+def run(settings: ConsoleSettings) -> int:
+    """Serve, or replay.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SettingsError: The port is taken, or the recording cannot be replayed here.
+    """
+    if settings.replay is not None:
+        return _replay(settings.store, settings.replay)
+    from flows.console.server import bound, serve  # a web server, which a replay does not need
+
+    own = bound(settings.port)
+    try:
+        serve(own, settings.store, lambda at: print(f"Open {at} in a browser.", flush=True))
+    except KeyboardInterrupt:  # the usual end, after which there is nothing to continue
+        return exit_code()
+    return 0
+
+
+def _replay(store: Path, folder: Path) -> int:
+    from components.operating.recording import card_of, replay
+    from flows.console.catalogue import Catalogue, NotOfferedError
+
+    try:
+        operable = Catalogue(store).open(card_of(folder).policy)
+    except NotOfferedError:
+        raise SettingsError(
+            f"replay={folder} is of a policy that store={store} does not hold; name its store."
+        ) from None
+    steps = replay(folder, operable)
+    print(f"{folder}: {steps} steps replayed, to the same bytes.")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door("console", HELP, load_console_settings, run)

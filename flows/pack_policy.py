@@ -1,0 +1,89 @@
+"""Put a stored policy into a folder for the console: ``python -m flows.pack_policy run=ID``."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from flows.command_line import run_door
+from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.overrides import split_word
+from flows.pipeline.store import ArtifactStore
+from flows.stored_policy import find_policy, open_operable
+
+__all__ = ["PackSettings", "load_pack_settings", "pack"]
+
+HELP = """\
+usage: python -m flows.pack_policy run=ID to=FOLDER [KEY=VALUE ...]
+
+Put a stored policy into a folder that flows.console opens without a store: its last snapshot, the
+clone of the behaviour, the card of the log, and some of the log's states, which tell what is
+familiar. A few hundred KB, no pickle.
+
+  run=ID          id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its
+                  name, e.g. lion/mediocre-0.2/seed0
+  to=FOLDER       that does not exist yet, e.g. turbine
+  overwrite=true  replace a folder that an earlier call has made
+  store=mlruns    folder of the runs
+"""
+
+_CARD = "policy.json"  # by which a folder of this door is known
+
+
+class PackSettings(StrictModel):
+    """Which policy to put where."""
+
+    run: str = Field(min_length=1)
+    to: Path
+    overwrite: bool = False
+    store: Path = Path("mlruns")
+
+
+def load_pack_settings(words: Sequence[str]) -> PackSettings:
+    """Settings from the command line.
+
+    Raises:
+        SettingsError: One sentence.
+    """
+    fields: dict[str, Any] = {}
+    for word in words:
+        key, value = split_word(word, lambda key: key == "overwrite")
+        if fields.setdefault(key, value) != value:
+            raise SettingsError(f"{key} is given twice; give it once.")
+    for name in ("run", "to"):
+        if not fields.get(name):
+            raise SettingsError(f"{name}= is missing; write run=ID to=FOLDER.")
+    settings: PackSettings = build_config(PackSettings, "", fields)
+    if settings.to.exists() and not (settings.overwrite and (settings.to / _CARD).is_file()):
+        raise SettingsError(
+            f"to={settings.to} is there already; name another folder"
+            + ("." if settings.overwrite else ", or add overwrite=true.")
+        )
+    return settings
+
+
+def pack(settings: PackSettings) -> int:
+    """Write the folder.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        SettingsError: There is no such policy.
+        DamagedFileError: An artifact is damaged.
+    """
+    store = ArtifactStore(settings.store, create=False)
+    record = find_policy(store, settings.run)
+    operable = open_operable(store, record)
+    if settings.to.exists():
+        shutil.rmtree(settings.to)
+    operable.save(settings.to)
+    size = sum(path.stat().st_size for path in settings.to.rglob("*") if path.is_file())
+    print(f"{settings.to}: {record['name']}, {size / 1000:.0f} KB.")
+    return 0
+
+
+if __name__ == "__main__":
+    run_door("pack_policy", HELP, load_pack_settings, pack)

@@ -1,0 +1,351 @@
+"""A store that machines without a common disk share: the local store, and its twin behind a URL.
+
+Everything is made, read and checked in this machine's copy, an ordinary store. Beyond that, a
+finished artifact is pushed before it appears here, and what somebody needs is pulled, with its
+digests. The twin is the truth: what is not there is not finished.
+
+Locks hold on this machine by the kernel and between machines by claims of drivers, see `claims`.
+"""
+
+import dataclasses
+import secrets
+import shutil
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from components.core.files import write_text
+from components.core.integrity import DamagedFileError, describe_files
+from components.core.sealed import RECORD, manifest_digest
+from flows.pipeline.errors import PipelineError, StoreError
+from flows.pipeline.locks import locked
+from flows.pipeline.remote.claims import Claims
+from flows.pipeline.remote.courier import DriverCourier, WorkerCourier
+from flows.pipeline.remote.folders import Folder, Folders
+from flows.pipeline.remote.objects import Objects
+from flows.pipeline.remote.places import address_of, copy_of
+from flows.pipeline.store import ArtifactStore
+from flows.pipeline.work import Work
+
+__all__ = ["SharedStore", "store_at"]
+
+_SHARED = "shared:"  # begins the name of a folder that has travelled
+_STAYS = ("ready.json", "out")  # of a work folder: half-made outputs
+_RECORDS = ("sweeps", "drivers")
+
+
+class SharedStore(ArtifactStore):
+    """The copy of a shared store on this machine.
+
+    Attributes:
+        url: Of the shared store.
+        drives: Whether the driver of a sweep holds it, which keeps a copy of all it has computed.
+        objects: Of the shared store.
+    """
+
+    def __init__(
+        self, url: str, owner: str = "", *, drives: bool = False, root: Path | None = None
+    ) -> None:
+        """Opens the store, and makes the folder of its copy here.
+
+        Args:
+            url: Of the shared store.
+            owner: Whose claims are made; empty for a store to read.
+            drives: See the class.
+            root: Folder of the copy, if it is another one.
+
+        Raises:
+            StoreError: the folder cannot be made, or the protocol is not known.
+        """
+        super().__init__(root or copy_of(url))
+        self.url = url.rstrip("/")
+        self.drives = drives
+        self.objects = Objects(self.url)
+        self._folders = Folders(self.objects, self.root / "arriving")
+        self._claims = Claims(self.objects, owner)
+        self._sent: dict[str, str] = {}
+        self._begun: dict[str, Folder] | None = None  # lists of work, as a driver has found them
+
+    # Finished artifacts
+
+    def fetch(self, keys: Iterable[str]) -> None:
+        """Brings the finished ones of these artifacts here, and takes away what is not there.
+
+        Raises:
+            StoreError: the shared store does not answer.
+        """
+        wanted = sorted(set(keys))
+        self._begun = None
+        theirs = self.objects.read_many([f"nodes/{key}/{RECORD}" for key in wanted])
+        for key in wanted:
+            content = theirs.get(f"nodes/{key}/{RECORD}")
+            with locked(self.locks / f"arriving-{key}"):
+                self._fetch(key, content)
+
+    def _fetch(self, key: str, content: bytes | None) -> None:
+        here = self.path(key)
+        with suppress(OSError):
+            if (here / RECORD).read_bytes() == content and self.intact(key):
+                return
+        if content is None:
+            if here.exists() and self.drives and self.intact(key, large=True):
+                self._folders.push_artifact(here, key)  # the shared store has lost it
+            elif self._claims.owner:
+                shutil.rmtree(here, ignore_errors=True)
+            return
+        self._records.pop(key, None)
+        if here.is_dir():
+            shutil.rmtree(here)
+        here.unlink(missing_ok=True)
+        with suppress(DamagedFileError):
+            self._folders.pull_artifact(key, content, here)
+            return
+        self._take_away(key)
+
+    def publish(self, folder: Path, key: str) -> None:
+        """Makes a filled folder the artifact of a node, everywhere; the first publisher wins.
+
+        Raises:
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        if self.objects.read(f"nodes/{key}/{RECORD}") is None:
+            self._folders.push_artifact(folder, key)
+            super().publish(folder, key)
+            return
+        shutil.rmtree(folder)
+        self.fetch([key])
+
+    def set_aside(self, key: str, place: int | None) -> bool:
+        """Moves what is not what was written out of the way, see :meth:`Artifacts.set_aside`.
+
+        One that is sound but made from another input goes everywhere; where only the copy here is
+        damaged, the shared one stays and comes back when it is needed.
+        """
+        sound = self.intact(key, large=True)
+        moved = super().set_aside(key, place)
+        if moved and sound:
+            self._take_away(key)
+        return moved
+
+    def _take_away(self, key: str) -> None:
+        name = f"nodes/{key}/{RECORD}"
+        content = self.objects.read(name)
+        if content is not None:
+            self.objects.write(f"damaged/{key}/{RECORD}", content)
+            self.objects.delete([name, *self.objects.sizes(f"nodes/{key}")])
+
+    # Work folders
+
+    def begin(self, keys: Collection[str]) -> None:
+        """Brings checkpoints of these nodes here that are further than those here.
+
+        Raises:
+            StoreError: the shared store does not answer.
+        """
+        for name, listed in self._works().items():
+            if not set(listed.get("serves", ())) & set(keys):
+                continue
+            here = self.work / name
+            ours = next((w for w in super().work_folders() if w.path == here), None)
+            reached = self.reached(ours) if ours is not None and ours.resumed else -1.0
+            if float(listed.get("reached", 0.0)) > reached:
+                self._folders.pull(f"work/{name}", listed, here)
+
+    def save(self, work: Work) -> None:
+        """Pushes the checkpoint of a work folder, if it has one.
+
+        Raises:
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        about = {"members": list(work.members), "serves": sorted(work.serves)}
+        about |= {"reached": self.reached(work)}
+        with suppress(FileNotFoundError):  # the work is over
+            self._folders.push(work.path, f"work/{work.path.name}", about, _STAYS)
+
+    def work_folders(self) -> list[Work]:
+        """The work folders here; for a driver, those of all machines."""
+        if not self.drives:
+            return super().work_folders()
+        if self._begun is None:
+            self._begun = self._works()
+        found = []
+        for name, listed in self._begun.items():
+            members, serves = tuple(listed["members"]), frozenset(listed["serves"])
+            found.append(Work(self.work / name, members, serves, True))
+        return found
+
+    def reached(self, work: Work) -> float:
+        """The fraction that the checkpoint of a work folder holds."""
+        if self.drives and self._begun is not None and work.path.name in self._begun:
+            return float(self._begun[work.path.name].get("reached", 0.0))
+        return super().reached(work)
+
+    def repair(self) -> list[str]:
+        """Removes work that is over; whoever continues other work mends it."""
+        self._begun = None
+        for work in self.work_folders() if self.drives else ():
+            if not self.unfinished(work):
+                self._folders.remove(f"work/{work.path.name}")
+        return []
+
+    def _discard(self, folder: Path) -> None:
+        super()._discard(folder)
+        self._folders.remove(f"work/{folder.name}")
+
+    def _works(self) -> dict[str, Folder]:
+        """The lists of all work folders of the shared store, by name."""
+        names = [n for n in self.objects.sizes("work") if n.count("/") == 1 and n.endswith(".json")]
+        found = {}
+        for name, content in self.objects.read_many(names).items():
+            listed = self._folders.list_of(content)
+            if listed is not None and "serves" in listed and "members" in listed:
+                found[name.removeprefix("work/").removesuffix(".json")] = listed
+        return found
+
+    # Between a driver and its workers
+
+    def sent(self, call: Any) -> Any:
+        """A group call as another machine can take it; folders outside the store travel, too.
+
+        Raises:
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        nodes = tuple(
+            {**node, "folders": {role: self._send(path) for role, path in node["folders"].items()}}
+            for node in call.nodes
+        )
+        return dataclasses.replace(call, url=self.url, owner=self._claims.owner, nodes=nodes)
+
+    def _send(self, path: str) -> str:
+        if path not in self._sent:
+            name = manifest_digest(describe_files(Path(path)))
+            if self.objects.read(f"folders/{name}.json") is None:
+                self._folders.push(Path(path), f"folders/{name}")
+            self._sent[path] = f"{_SHARED}{name}"
+        return self._sent[path]
+
+    def folder(self, named: str) -> Path:
+        """A folder outside the store, as a group call names it.
+
+        Raises:
+            DamagedFileError: it has not arrived whole.
+            StoreError: the shared store does not answer.
+        """
+        if not named.startswith(_SHARED):
+            return Path(named)
+        name = named.removeprefix(_SHARED)
+        here = self.root / "folders" / name
+        if not here.is_dir():
+            listed = self._folders.list_of(self.objects.read(f"folders/{name}.json"))
+            if listed is None or not self._folders.pull(f"folders/{name}", listed, here):
+                raise DamagedFileError(f"folders/{name} of {self.url} is missing or damaged", here)
+        return here
+
+    @contextmanager
+    def locked(self, keys: Iterable[str], *, wait: bool = True) -> Iterator[bool]:
+        """Holds the locks of several nodes, here and, for drivers and workers, everywhere."""
+        keys = list(keys)
+        with super().locked(keys, wait=wait) as held:
+            if not held or not self._claims.owner:
+                yield held
+                return
+            with self._claims.held(keys, wait=wait) as claimed:
+                yield claimed
+
+    @contextmanager
+    def carrying(self, group: str, work: Work) -> Iterator[None]:
+        """Carries a running call's progress, checkpoints and requests to stop to and fro."""
+        with WorkerCourier(self.objects, self, group, work.path, lambda: self.save(work)):
+            yield
+
+    def forget_requests(self, group: str) -> None:
+        """Removes what was asked of an earlier call of this name on this machine."""
+        super().clear_progress(group)
+
+    def clear_progress(self, group: str) -> None:
+        """Removes a call's report and requests, see :meth:`ArtifactStore.clear_progress`."""
+        super().clear_progress(group)
+        if self.drives:
+            ends = ("json", "stop", "pause")
+            self.objects.delete(f"progress/{group}.{end}" for end in ends)
+
+    @contextmanager
+    def driven(self, name: str) -> Iterator[None]:
+        """Drives a sweep for the length of a `with` block, which no other machine does meanwhile.
+
+        Raises:
+            PipelineError: another one does.
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        sweep = f"sweep-{name}"
+        self._claims.beat()
+        try:
+            with DriverCourier(self.objects, self, self._claims.beat) as courier:
+                if not self._claims.outlive(sweep):
+                    raise PipelineError(
+                        f"Another process is running the sweep {name!r} in {self.url} "
+                        f"({self._claims.holder(sweep)}): wait for it, stop it, or give this sweep "
+                        "another name."
+                    )
+                try:
+                    yield
+                finally:
+                    with suppress(StoreError, OSError):
+                        courier.last()
+                        for folder in (f"reports/{name}", "tracking"):
+                            self.push_files(folder)
+        finally:
+            with suppress(StoreError):
+                self._claims.end()
+
+    # For people
+
+    def look_again(self) -> None:
+        """Brings the records of sweeps and drivers here, in place of older ones.
+
+        Raises:
+            StoreError: the shared store does not answer.
+        """
+        names = [n for part in (*_RECORDS, "progress") for n in self.objects.sizes(part)]
+        for name, content in self.objects.read_many(names).items():
+            path = self.root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, content.decode(errors="replace"))
+
+    def send_requests(self) -> None:
+        """Sends requests to drivers to stop.
+
+        Raises:
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        for request in (self.root / "drivers").glob("*.stop"):
+            self.objects.write(f"drivers/{request.name}", request.read_bytes())
+            request.unlink(missing_ok=True)
+
+    def push_files(self, folder: str) -> None:
+        """Copies the files of a folder of the store, such as a report, into the shared one.
+
+        Raises:
+            StoreError: the shared store does not answer or cannot be written.
+        """
+        top = self.root / folder
+        files = [path for path in sorted(top.rglob("*")) if path.is_file()]
+        self.objects.upload({path.relative_to(self.root).as_posix(): path for path in files})
+
+
+def store_at(folder: Path, *, create: bool = True, drives: bool = False) -> ArtifactStore:
+    """The store of a folder, which may be the copy of a shared one.
+
+    Args:
+        folder: The folder.
+        create: Whether to make the folders; those of a copy are always made.
+        drives: Whether to drive a sweep in it.
+
+    Raises:
+        StoreError: it cannot be made or written.
+    """
+    url = address_of(folder)
+    if url is None:
+        return ArtifactStore(folder, create=create)
+    return SharedStore(url, secrets.token_hex(8) if drives else "", drives=drives)
