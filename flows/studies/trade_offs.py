@@ -62,12 +62,13 @@ class TradeOff:
 
 
 def _trade_offs(plan: Plan, store: ArtifactStore) -> list[TradeOff]:
-    found = cells(plan, store)
     groups: dict[tuple[str, str], list[Cell]] = {}
-    for cell in found:
-        groups.setdefault((cell.dataset, cell.algorithm), []).append(cell)
+    for cell in cells(plan, store):
+        whole = "mopo" if cell.algorithm == "mopo" else cell.label
+        groups.setdefault((cell.dataset, whole), []).append(cell)
     made = []
-    for (dataset, algorithm), group in groups.items():
+    for (dataset, _), group in groups.items():
+        algorithm = group[0].algorithm
         if algorithm == "mopo":  # a policy per penalty, the greatest of which constrains most
             own = sorted(group, key=lambda cell: -cell.settings["penalty"])
             knob = np.array([cell.settings["penalty"] for cell in own])
