@@ -44,6 +44,7 @@ from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
+from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.sizes import DataSizes
 from components.data.starts import start_rows
