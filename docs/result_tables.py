@@ -266,6 +266,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "judges": judges,
     "judged": judged,
     "blind": blind,
+    "lion_over_lambda": lambda: study("figure-6.5"),
 }
 
 
