@@ -267,6 +267,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "judged": judged,
     "blind": blind,
     "lion_over_lambda": lambda: study("figure-6.5"),
+    "rvs_returns": lambda: study("figure-6.8"),
 }
 
 
