@@ -18,7 +18,8 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscop
   --no-loadscope-reorder --max-worker-restart 0
 
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark console data shipped-policies test test-fast test-all lint format docs bench peers ui clean
+.PHONY: help setup benchmark console data shipped-policies test test-fast test-all lint format docs
+.PHONY: soak bench peers ui clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -75,6 +76,9 @@ shipped-policies: $(READY) ## Train the policies again that the console ships wi
 
 docs: $(READY) ## Build the pages of docs/ as a site, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+soak: $(READY) ## Kill a small benchmark 50 times at random and compare it with an undisturbed one; SEED=1
+	$(BIN)/python -m tests.soak --kills 50 $(if $(SEED),--seed $(SEED))
 
 bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
 	$(BIN)/python -m benchmarks.run

@@ -13,12 +13,15 @@ from typing import Final
 import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
+from components.algorithms.wsbc import Config as WSBCConfig
+from components.reporting.ranking import markdown
 from components.reporting.thesis_numbers import thesis_numbers
+from flows.studies.finished import decimals
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PAGES: Final = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{n}.md" for n in ("results", "world", "judging")),
+    *(ROOT / "docs" / f"{n}.md" for n in ("results", "world", "judging", "studies")),
 )
 
 _DATA: Final = ROOT / "docs" / "results"
@@ -140,6 +143,58 @@ def world() -> str:
     return _markdown(list(table.columns), rows)
 
 
+_PACE: Final = (5, 10, 20, 50, 100)
+"""Iterations of WSBC that are shown."""
+
+
+def pace() -> str:
+    """One row per dataset and velocity limit of WSBC: real and expected returns on the way."""
+    table = _velocities()
+    rows = []
+    for (dataset, limit), own in table.groupby(["dataset", "velocity_limit"], sort=False):
+        if dataset not in _CHOSEN_ON:
+            continue
+        own = own.set_index("iteration")
+        cells = [f"{own.mean_return[n]:.1f} ({own.expected_return[n]:.1f})" for n in _PACE]
+        rows.append([dataset, f"{limit:g}", *cells, f"{_pool(own):.1f}"])
+    return _markdown(["dataset", "limit", *map(str, _PACE), "pool"], rows)
+
+
+def limits() -> str:
+    """One row per dataset: WSBC's pool at the former and at the chosen velocity limit."""
+    table, logs, thesis = _velocities(), logged(), thesis_numbers()
+    chosen = WSBCConfig().velocity_limit
+    measured_ones = table.set_index(["dataset", "velocity_limit"])
+    rows = []
+    for log, mean in logs.items():
+        cells = [
+            f"{_pool(measured_ones.loc[log, limit].set_index('iteration')):.1f}"
+            if (log, limit) in measured_ones.index
+            else ""
+            for limit in (1.0, chosen)
+        ]
+        if any(cells):
+            theirs, error = thesis[log, "wsbc"]
+            rows.append([log, f"{mean:.1f}", *cells, f"{theirs:.1f} ({error:g})"])
+    heads = ["dataset", "log, mean", "limit 1", f"limit {chosen:g}", "thesis, 10th percentile"]
+    return _markdown(heads, rows)
+
+
+_CHOSEN_ON: Final = ("bad-0.4", "mediocre-0.2", "optimized-0.6")
+"""The datasets on which the limit was chosen."""
+
+
+def _velocities() -> pd.DataFrame:
+    return pd.read_csv(_DATA / "wsbc-velocity-2026-11.csv").sort_values(
+        ["dataset", "velocity_limit", "iteration"], ascending=[True, False, True]
+    )
+
+
+def _pool(own: pd.DataFrame) -> float:
+    """Mean return of the last tenth of a run's snapshots."""
+    return float(own["mean_return"].iloc[-max(1, len(own) // 10) :].mean())
+
+
 _JUDGES: Final = {
     "spearman": 2,
     "regret_1": 1,
@@ -195,11 +250,19 @@ def blind() -> str:
     return _markdown(["logs", *(name.replace("_", " ") for name in shown)], rows)
 
 
+def study(name: str) -> str:
+    """The table of a study, as `python -m flows.study` prints it."""
+    table = pd.read_csv(_DATA / "studies-2026-11" / f"{name}.csv")
+    return markdown(table, decimals(table))
+
+
 TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "front": front,
     "full": full,
     "beside": beside,
     "world": world,
+    "pace": pace,
+    "limits": limits,
     "judges": judges,
     "judged": judged,
     "blind": blind,

@@ -307,6 +307,11 @@ def test_no_weight_changes_by_more_than_the_velocity_limit() -> None:
     )
 
 
+def test_the_default_pace_is_the_one_of_the_published_comparison() -> None:
+    assert wsbc.Config().velocity_limit == 0.1
+    assert "no weight changes by more than a tenth of d" in str(wsbc.__doc__)
+
+
 def test_the_thesis_searches_3683_weights_with_200_particles() -> None:
     log = make_log(history=30)
     clone = random_policy(log, ("big",), hidden=20)
