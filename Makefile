@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PEERS := .venv-peers
+SHIPPED := components/operating/shipped
 
 # One thread per process, also for the tests' own process: spinning OpenMP threads of several
 # processes slow each other down a hundredfold.
@@ -17,10 +18,11 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscop
   --no-loadscope-reorder --max-worker-restart 0
 
 .DEFAULT_GOAL := help
-.PHONY: help setup benchmark data test test-fast test-all lint format docs bench peers ui clean
+.PHONY: help setup benchmark console data shipped-policies test test-fast test-all lint format docs
+.PHONY: soak bench peers ui clean
 
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -34,6 +36,9 @@ setup: $(READY) ## Make .venv with all that is needed
 
 benchmark: $(READY) ## Run the quick benchmark: four datasets, a table in minutes
 	$(BIN)/python -m flows.full_benchmark profile=quick
+
+console: $(READY) ## Turn the proximity while a machine runs, in a browser
+	$(BIN)/python -m flows.console
 
 data: $(READY) ## Generate all datasets and export them for Minari
 	$(BIN)/python -m flows.generate_data
@@ -57,8 +62,23 @@ format: $(READY) ## Put the code into the common format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+shipped-policies: $(READY) ## Train the policies again that the console ships with: 15 minutes
+	$(BIN)/python -m flows.full_benchmark profile=quick datasets=[world] algorithms=[bc,lion] \
+	  seeds=[0] algorithm.lion.updates=570 algorithm.lion.hidden=[64,64] \
+	  algorithm.lion.trajectories=200 model.deterministic_ensemble.epochs=300 \
+	  model.behaviour_policy.epochs=200 evaluation.horizon=25 sweep=shipped-world
+	$(BIN)/python -m flows.full_benchmark profile=quick datasets=[mediocre-0.2] algorithms=[lion] \
+	  seeds=[0] algorithm.lion.updates=300 algorithm.lion.hidden=[64,64] \
+	  algorithm.lion.learning_rate=0.001 training.snapshots=4 evaluation.proximity_step=0.1 \
+	  evaluation.trajectories=5 sweep=shipped-turbine
+	$(BIN)/python -m flows.pack_policy run=lion/world/seed0 to=$(SHIPPED)/world overwrite=true
+	$(BIN)/python -m flows.pack_policy run=lion/mediocre-0.2/seed0 to=$(SHIPPED)/turbine overwrite=true
+
 docs: $(READY) ## Build the pages of docs/ as a site, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+soak: $(READY) ## Kill a small benchmark 50 times at random and compare it with an undisturbed one; SEED=1
+	$(BIN)/python -m tests.soak --kills 50 $(if $(SEED),--seed $(SEED))
 
 bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
 	$(BIN)/python -m benchmarks.run

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from benchmarks.measure import computer, markdown, median_seconds
 from components.core.files import write_json
+from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -29,7 +30,14 @@ from flows.pipeline.task import Job, TaskContext
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.tracker import NullTracker, Tracker
 
-__all__ = ["empty", "empty_plan", "report", "seconds_per_plan"]
+__all__ = [
+    "empty",
+    "empty_plan",
+    "own_database",
+    "report",
+    "run_empty",
+    "seconds_per_plan",
+]
 
 
 def empty(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -55,7 +63,7 @@ def empty_plan(nodes: int, number: int) -> Plan:
 
 
 @contextmanager
-def _own_database() -> Iterator[None]:
+def own_database() -> Iterator[None]:
     """Keep the measurements out of a tracking server that the user may have."""
     address = os.environ.pop("MLFLOW_TRACKING_URI", None)
     try:
@@ -65,9 +73,16 @@ def _own_database() -> Iterator[None]:
             os.environ["MLFLOW_TRACKING_URI"] = address
 
 
-def _run(plan: Plan, store: ArtifactStore, tracker: Tracker) -> None:
+def run_empty(
+    plan: Plan, store: ArtifactStore, tracker: Tracker, executor: Executor | None = None
+) -> None:
+    """Compute a plan of empty nodes, by default in this process.
+
+    Raises:
+        RuntimeError: A node failed.
+    """
     display = Display(Console(file=io.StringIO()))
-    outcome = run_plan(plan, store, tracker, display, executor=SerialExecutor())
+    outcome = run_plan(plan, store, tracker, display, executor=executor or SerialExecutor())
     if not outcome.complete or outcome.unrecorded:
         raise RuntimeError(f"An empty plan did not finish: {outcome}.")
 
@@ -82,20 +97,20 @@ def seconds_per_plan(nodes: int, repetitions: int) -> dict[str, float]:
     Raises:
         RuntimeError: A node failed.
     """
-    with tempfile.TemporaryDirectory() as folder, _own_database():
+    with tempfile.TemporaryDirectory() as folder, own_database():
         store, bare = ArtifactStore(Path(folder) / "recorded"), ArtifactStore(Path(folder) / "bare")
         tracker = MlflowTracker(store.root, source="benchmarks.pipeline")
         tracker.open("empty")
         numbers = count()
 
         def fresh(store: ArtifactStore, tracker: Tracker) -> Callable[[], None]:
-            return lambda: _run(empty_plan(nodes, next(numbers)), store, tracker)
+            return lambda: run_empty(empty_plan(nodes, next(numbers)), store, tracker)
 
         known = empty_plan(nodes, -1)
         runs = {
             "computed, no tracker": fresh(bare, NullTracker()),
             "computed, MLflow tracker": fresh(store, tracker),
-            "found finished, MLflow tracker": lambda: _run(known, store, tracker),
+            "found finished, MLflow tracker": lambda: run_empty(known, store, tracker),
         }
         seconds = median_seconds(runs, repetitions)
         tracker.close("FINISHED")

@@ -14,12 +14,14 @@ import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
 from components.algorithms.wsbc import Config as WSBCConfig
+from components.reporting.ranking import markdown
 from components.reporting.thesis_numbers import thesis_numbers
+from flows.studies.finished import decimals
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PAGES: Final = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{n}.md" for n in ("results", "world", "judging")),
+    *(ROOT / "docs" / f"{n}.md" for n in ("results", "world", "judging", "studies")),
 )
 
 _DATA: Final = ROOT / "docs" / "results"
@@ -246,6 +248,12 @@ def blind() -> str:
                 who += ", which is the default"
             rows.append([f"{group}: `{score}`, {who}", *(c.replace("nan", "") for c in cells)])
     return _markdown(["logs", *(name.replace("_", " ") for name in shown)], rows)
+
+
+def study(name: str) -> str:
+    """The table of a study, as `python -m flows.study` prints it."""
+    table = pd.read_csv(_DATA / "studies-2026-11" / f"{name}.csv")
+    return markdown(table, decimals(table))
 
 
 TABLES: Final[Mapping[str, Callable[[], str]]] = {

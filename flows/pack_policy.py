@@ -8,8 +8,9 @@ from typing import Any
 from pydantic import Field
 
 from flows.command_line import run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy, open_operable
 
@@ -38,7 +39,7 @@ class PackSettings(StrictModel):
     run: str = Field(min_length=1)
     to: Path
     overwrite: bool = False
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
 
 
 def load_pack_settings(words: Sequence[str]) -> PackSettings:
@@ -74,6 +75,7 @@ def pack(settings: PackSettings) -> int:
         SettingsError: There is no such policy.
         DamagedFileError: An artifact is damaged.
     """
+    bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     operable = open_operable(store, record)

@@ -31,6 +31,7 @@ TOGETHER = {
     "tests/flows/test_mlflow_pages.py": "ray",  # they share the smoke run
     "tests/test_notebooks.py": "ray",
     "tests/components/reporting/test_page.py": "a browser",
+    "tests/flows/console/test_pages.py": "a console",
     "tests/flows/report/test_report_door.py": "ray",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",

@@ -15,6 +15,9 @@ the first ``start_window`` steps of each trajectory; rewards are scaled by the m
 window return of the dataset, or by ``return_scale``; the penalty is divided by the horizon; the
 proximity enters the network standardised. The logged actions are drawn from the whole dataset (the
 authors' code reaches only its first part).
+
+``caution`` is no part of the thesis: a price on leaving the log's support, see
+:mod:`~components.algorithms.parts.caution`.
 """
 
 from dataclasses import dataclass
@@ -24,6 +27,7 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm, per_virtual_step
+from components.algorithms.parts.caution import MEASURES, check_caution
 from components.algorithms.parts.learner import LearnerInputs, descend, needed
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.algorithms.parts.virtual_returns import AGGREGATIONS, TRANSITIONS, VirtualReturns
@@ -56,6 +60,8 @@ class Config:
     start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
     return_scale: float | None = option(None)  # by which returns are divided; None: by the log's
     transition: str = option(TRANSITIONS[0])  # or deterministic_ensemble, which has no memory
+    caution: float | None = option(None)  # price of leaving the log's support, in mean returns
+    caution_by: str = option(MEASURES[0])  # or disagreement, of the members
     aggregation: str = option(AGGREGATIONS[0])  # of the members; or mean, single (figure 6.11)
 
     def __post_init__(self) -> None:
@@ -74,6 +80,7 @@ class Config:
             raise ValueError(f"aggregation must be one of {', '.join(AGGREGATIONS)}.")
         if self.return_scale is not None and self.return_scale <= 0:
             raise ValueError("return_scale must be positive, or null for the log's mean return.")
+        check_caution(self.caution, self.caution_by)
 
 
 class Learner(StackedLearner):
@@ -94,6 +101,13 @@ class Learner(StackedLearner):
             config.transition,
             config.return_scale,
             config.aggregation,
+        )
+        self._returns.be_cautious(
+            config.caution,
+            self._behaviour_act,
+            config.start_window,
+            config.start_after,
+            config.caution_by,
         )
         sizes = (data.observation_width + 1, *config.hidden, data.action_width)
         self._network = StackedMLP(spawn_generators(inputs.keys, "policy"), sizes).to(device)

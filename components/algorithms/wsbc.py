@@ -24,10 +24,12 @@ with the constants of thesis 2.6. The text leaves open and this module decides:
 - start states are drawn once per lane, as LION's from the first 30 steps of trajectories, near
   which policies are evaluated (algorithm 2 says from the log; ``start_window``, ``start_after``);
 - the box is on the weights as the behaviour policy's artifact stores them: policies see frames in
-  its scaling and are deployed with it.
+  its scaling and are deployed with it;
+- ``caution`` is no part of the thesis: a price on leaving the log's support, see
+  :mod:`~components.algorithms.parts.caution`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -37,16 +39,22 @@ import torch
 from torch import Tensor
 
 from components.algorithms.parts.algorithm import Algorithm
+from components.algorithms.parts.caution import MEASURES, Caution, check_caution
 from components.algorithms.parts.learner import LearnerInputs
 from components.algorithms.parts.particle_swarm import Swarm, SwarmRule
 from components.algorithms.parts.ranges import check_at_least_one, check_virtual_starts
 from components.core.draws import Uniform
+from components.core.options import option
 from components.core.random_streams import LaneStreams, spawn_generators
 from components.data.sizes import DataSizes
 from components.data.starts import start_rows
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
-from components.models.transition.model_environment import ModelEnvironment, discounted_sum
+from components.models.transition.model_environment import (
+    ModelEnvironment,
+    RolloutStep,
+    discounted_sum,
+)
 from components.policies.deployment import KINDS, Layers
 from components.policies.policy import Policy, PolicyCard
 from components.training.stacked_learner import StackedLearner
@@ -76,6 +84,8 @@ class Config:
     discount: float = 0.97  # gamma
     start_window: int = 30  # start states are steps start_after ... start_window - 1 of each
     start_after: int = 0  # logged trajectory; more than 0 where their past must all be recorded
+    caution: float | None = option(None)  # price of leaving the log's support, in mean returns
+    caution_by: str = option(MEASURES[0])  # or disagreement, of the members
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -99,6 +109,7 @@ class Config:
             )
         if not 0 <= self.inertia < 1:
             raise ValueError(f"inertia must lie in [0, 1), got {self.inertia}.")
+        check_caution(self.caution, self.caution_by)
 
 
 class Learner(StackedLearner):
@@ -125,6 +136,7 @@ class Learner(StackedLearner):
         # The ensemble's hidden state after the recorded frames: the same for all particles.
         self._begun = self._environment.model.begin(past[:, None])
         self._newest = past[:, :, :1]
+        self._caution = self._cautious(inputs)
         self._centre = torch.cat(
             [t.flatten(1) for layer in self._behaviour.layers for t in layer], 1
         )
@@ -153,6 +165,20 @@ class Learner(StackedLearner):
             )
         ]
         return torch.from_numpy(np.stack(rows)).to(data.device)
+
+    def _cautious(self, inputs: LearnerInputs) -> Caution | None:
+        """The support of the logs, what the behaviour policies visit included."""
+        config = self._config
+        if config.caution is None:
+            return None
+        caution = Caution(self._data, self._behaviour.frames, config.caution_by)
+        returns = torch.tensor(inputs.mean_window_returns, device=self._data.device)
+        self._price = config.caution * returns.abs()[:, None]
+        with torch.no_grad():
+            behaviour = self._behaviour.layers
+            steps = self._unroll(1, lambda observations: self._act_by(behaviour, observations))
+            caution.familiar(list(steps))
+        return caution
 
     def _first_swarm(self, keys: Sequence[int]) -> Swarm:
         """The behaviour policy, and the other particles uniformly in the box around it."""
@@ -209,19 +235,31 @@ class Learner(StackedLearner):
         """Mean virtual returns ``[L, C]`` of the policies at ``positions [L, C, D]`` (5.17)."""
         lanes, count, _ = positions.shape
         layers = self._layers(positions)
+        rewards: list[Tensor] = []
+        kept: list[RolloutStep] = []
+        for step in self._unroll(count, lambda observations: self._act_by(layers, observations)):
+            rewards.append(step.rewards)
+            if self._caution is not None:
+                kept.append(step)
+        discount = self._config.discount
+        returns = discounted_sum(rewards, discount)
+        if self._caution is not None:
+            returns = returns - self._price * self._caution.excess(kept, discount)
+        return returns.view(lanes, count, -1).mean(dim=2)
+
+    def _unroll(self, count: int, act: Callable[[Tensor], Tensor]) -> Iterator[RolloutStep]:
+        """Virtual trajectories from all start states, of ``count`` policies a lane."""
         observations, newest = (
             known[:, None].expand(-1, count, *known.shape[1:]).flatten(1, 2)
             for known in (self._observations, self._newest)
         )
-        steps = self._environment.unroll(
+        return self._environment.unroll(
             observations,
             newest,
-            lambda observations: self._act_by(layers, observations),
+            act,
             self._config.horizon,
             state=self._begun[:, :, None].expand(-1, -1, count, -1).flatten(2),
         )
-        returns = discounted_sum([step.rewards for step in steps], self._config.discount)
-        return returns.view(lanes, count, -1).mean(dim=2)
 
     @torch.no_grad()
     def _fitness(self) -> Tensor:

@@ -2,10 +2,13 @@
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
+from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 
-__all__ = ["start_rows"]
+__all__ = ["spread_starts", "start_rows"]
 
 
 def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDArray[np.int64]:
@@ -27,3 +30,12 @@ def start_rows(dataset: OfflineDataset, window: int, after: int = 0) -> npt.NDAr
             "start_after."
         )
     return found
+
+
+def spread_starts(data: LaneData, window: int, after: int = 0, count: int = 40) -> Tensor:
+    """The same start states whoever asks: ``[L, count]``, evenly spaced over those of each log."""
+    chosen = []
+    for dataset in data.datasets:
+        rows = start_rows(dataset, window, after)
+        chosen.append(rows[np.linspace(0, len(rows) - 1, count).round().astype(np.int64)])
+    return torch.from_numpy(np.stack(chosen)).to(data.device)

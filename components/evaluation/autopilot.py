@@ -207,13 +207,15 @@ class Autopilot:
     def _next(self) -> float | None:
         config = self.config
         if self.used >= config.budget:
-            return self._over("the budget is used")
+            self._end("the budget is used")
+            return None
         if self.used < config.warm_up:
             return 0.0
         tried = self.tried()
         farthest = tried[-1].proximity
         if farthest >= 1.0:
-            return self._over("proximity 1 is reached")
+            self._end("proximity 1 is reached")
+            return None
         floor = self.floor
         reach = max(one.proximity + (one.lower - floor) / config.slope for one in tried)
         # Proximities are kept to a billionth: sums of steps shall end at 1, not beside it.
@@ -230,12 +232,16 @@ class Autopilot:
         reach = {one.proximity: one.proximity + (one.mean - floor) / config.slope for one in tried}
         leader = max(tried, key=lambda one: reach[one.proximity])
         if reach[leader.proximity] < min(1.0, farthest + config.resolution):
-            return self._over("nothing further is safe")
+            self._end("nothing further is safe")
+            return None
         if own and clone.width > leader.width:
             return clone.proximity
-        return leader.proximity if leader.width > 0 else self._over("nothing further is safe")
+        if leader.width > 0:
+            return leader.proximity
+        self._end("nothing further is safe")
+        return None
 
-    def _over(self, why: str) -> None:
+    def _end(self, why: str) -> None:
         self._why = why
 
     # -- confidence -----------------------------------------------------------------------------

@@ -5,7 +5,7 @@ truth is known: its mean return at a grid point is the mean of what was measured
 it is interpolated, and a trajectory scatters around it as one of those measured nearest does.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,9 +15,13 @@ import numpy.typing as npt
 from components.evaluation.autopilot import Autopilot, AutopilotConfig, fly
 from components.evaluation.curves import first_drop
 
-__all__ = ["Flight", "Flights", "MeasuredSystem", "compare"]
+__all__ = ["STRATEGIES", "Flight", "Flights", "MeasuredSystem", "compare"]
 
 Array = npt.NDArray[np.float64]
+
+STRATEGIES: Final = ("autopilot", "first drop", "first drop of 10")
+"""The search of :mod:`.autopilot`, and that of thesis 6.6.1 with one trajectory at each point of
+the grid, and with ten, which is how the thesis evaluates."""
 
 _MARGIN: Final = 0.1  # of the size of the clone's return
 _SLOPE: Final = 4.0  # of the same, per unit of proximity: a fifth of it in a step of 0.05
@@ -96,25 +100,27 @@ def compare(
     budget: int = 50,
     slope: float = _SLOPE,
     repeats: int = 5,
+    strategies: Sequence[str] = STRATEGIES,
 ) -> Flights:
     """Let the autopilot and the stop at the first drop search, several times each.
 
     Args:
         system: Where.
         rng: Of the trajectories.
-        budget: The autopilot's trajectories. The first drop is sought with one trajectory at each
-            point of the grid, and with ten, which is how the thesis evaluates.
+        budget: The autopilot's trajectories.
         slope: That the autopilot assumes, in returns of the clone per unit of proximity.
         repeats: Searches of each kind.
+        strategies: Which of `STRATEGIES`.
     """
     clone = system.mean(0.0)
     size = abs(clone)
     config = AutopilotConfig(budget=budget, margin=_MARGIN * size, slope=slope * size)
-    flights = {
-        "autopilot": tuple(_autopilot(system, config, rng) for _ in range(repeats)),
-        "first drop, 1": tuple(_first_drop(system, 1, rng) for _ in range(repeats)),
-        "first drop, 10": tuple(_first_drop(system, 10, rng) for _ in range(repeats)),
+    make: Mapping[str, Callable[[], Flight]] = {
+        "autopilot": lambda: _autopilot(system, config, rng),
+        "first drop": lambda: _first_drop(system, 1, rng),
+        "first drop of 10": lambda: _first_drop(system, 10, rng),
     }
+    flights = {name: tuple(make[name]() for _ in range(repeats)) for name in strategies}
     return Flights(clone, float(system.means.max()), flights)
 
 

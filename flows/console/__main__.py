@@ -5,9 +5,10 @@ from pathlib import Path
 
 from pydantic import Field
 
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
 from flows.door import run_door
+from flows.pipeline.remote.bringing import bring
 from flows.pipeline.signals import exit_code
 
 __all__ = ["ConsoleSettings", "load_console_settings", "run"]
@@ -30,7 +31,7 @@ Ctrl-C.
 class ConsoleSettings(StrictModel):
     """Where to listen and what to offer."""
 
-    store: Path = Path("mlruns")
+    store: StoreFolder = Path("mlruns")
     port: int | None = Field(default=None, ge=1, le=65535)
     replay: Path | None = None
 
@@ -64,6 +65,7 @@ def run(settings: ConsoleSettings) -> int:
         return _replay(settings.store, settings.replay)
     from flows.console.server import bound, serve  # a web server, which a replay does not need
 
+    bring(settings.store)
     own = bound(settings.port)
     try:
         serve(own, settings.store, lambda at: print(f"Open {at} in a browser.", flush=True))

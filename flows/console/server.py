@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import warnings
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +23,7 @@ __all__ = ["HOST", "bound", "serve"]
 HOST: Final = "127.0.0.1"
 _PREFERRED: Final = 8085
 _NAMES: Final = (HOST, "localhost")
-_RECONNECT: Final = 5.0  # seconds that a session waits for a browser that has lost its connection
+_RECONNECT: Final = 20.0  # seconds that a session waits for a browser whose connection is lost
 _SANDBOX: Final = ("Content-Security-Policy", "sandbox allow-scripts allow-popups")
 
 Scope = dict[str, Any]
@@ -121,6 +122,8 @@ def serve(own: socket.socket, store: Path, ready: Callable[[str], object]) -> No
     def count() -> dict[str, int]:
         return {"windows": len(windows)}
 
+    # NiceGUI looks at every object of the process, and Torch warns of some of its own.
+    warnings.filterwarnings("ignore", category=FutureWarning, module="nicegui")
     ui.run_with(app, title="Operator's console", reconnect_timeout=_RECONNECT, tailwind=False)
     guarded = OnlyFromHere(app)
     config = uvicorn.Config(guarded, log_level="warning", ws_max_size=1_000_000)

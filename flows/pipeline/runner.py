@@ -124,6 +124,8 @@ class _Run:
             self.outcome.interrupted = exit_code()
         finally:
             with ignored_signals() if self.outcome.interrupted else deferred_signals():
+                if self.outcome.interrupted and not self.stop.why:
+                    self.display.note("Ending what runs ...")  # which may take seconds
                 self.executor.stop()
                 self._look(last=True)
                 self.stop.forget(self.running)

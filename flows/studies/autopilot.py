@@ -14,7 +14,7 @@ import pandas as pd
 from components.core.arrays import load_arrays
 from components.core.files import write_text
 from components.core.random_streams import lane_generator, lane_key
-from components.evaluation.flights import Flights, MeasuredSystem, compare
+from components.evaluation.flights import STRATEGIES, Flights, MeasuredSystem, compare
 from components.reporting.ranking import markdown
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
@@ -23,11 +23,6 @@ from flows.studies.study import Drawn, Study
 
 __all__ = ["STUDY", "autopilot_table"]
 
-STRATEGIES: Final = {
-    "autopilot": "autopilot",
-    "first drop, 1": "first drop",
-    "first drop, 10": "first drop of 10",
-}
 _READ: Final = """\
 All in returns of the real system, means over policies and five searches each. `clone` is λ = 0,
 `best` the best λ of the grid, which nobody knows beforehand. Of each strategy: the return at the λ
@@ -60,14 +55,14 @@ def _row(found: Sequence[Flights]) -> dict[str, float]:
         "clone": float(np.mean([one.clone for one in found])),
         "best": float(np.mean([one.best for one in found])),
     }
-    for strategy, name in STRATEGIES.items():
-        flights = [(one.clone, flight) for one in found for flight in one.flights[strategy]]
+    for name in STRATEGIES:
+        flights = [(one.clone, flight) for one in found for flight in one.flights[name]]
         row |= {
             f"{name}: λ": float(np.mean([flight.proximity for _, flight in flights])),
             f"{name}: return": float(np.mean([clone + flight.gain for clone, flight in flights])),
             f"{name}: worst": float(min(clone + flight.worst for clone, flight in flights)),
             f"{name}: trajectories": float(np.mean([flight.trajectories for _, flight in flights])),
-            f"{name}: below": float(np.mean([one.share_below(strategy) for one in found])),
+            f"{name}: below": float(np.mean([one.share_below(name) for one in found])),
         }
     return row
 
@@ -102,5 +97,6 @@ STUDY: Final = Study(
     about="a safe search for λ beside the stop at the first drop (thesis 7.2)",
     subject=("algorithms=[lion]",),
     defaults=(SIXTEEN, "seeds=[0,1]"),
+    takes="days; with profile=quick hours",
     draw=_draw,
 )

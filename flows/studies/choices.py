@@ -26,8 +26,6 @@ from flows.studies.study import Drawn, Study
 __all__ = ["STUDY"]
 
 _NAME: Final = "figure-6.9"
-_DIGITS: Final = {"eta": 2, "beta": 2, "error": 4, "deviation": 4, "clone": 4}
-
 _SAID: Final = """\
 `error` is the mean squared distance per action entry between what a policy does at λ = 0 and what
 the log did, in the {held_out:.0%} of its episodes that neither models nor policies have seen;
@@ -85,7 +83,7 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
         )
     }
     said = _SAID.format(held_out=nodes["data_split"][0].config["held_out"])
-    return written(folder, _NAME, table, _DIGITS, said, figures)
+    return written(folder, _NAME, table, said, figures)
 
 
 def _panels(table: pd.DataFrame, setting: str, other: str) -> Sequence[Panel]:

@@ -71,9 +71,8 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
                 "ends": "above the log" if last > log else "below the log",
             }
         )
-    digits = dict.fromkeys(("log", "first", "best", "last", "promised"), 1)
     figure = (drawn, "updates", {})
-    return written(folder, _NAME, pd.DataFrame(rows), digits, _SAID, {_NAME: figure})
+    return written(folder, _NAME, pd.DataFrame(rows), _SAID, {_NAME: figure})
 
 
 STUDY: Final = Study(

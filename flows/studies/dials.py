@@ -128,5 +128,6 @@ STUDY: Final = Study(
     about="LION, lambda-TD3+BC, RvS and MOPO over their trade-offs: peak, area, smoothness",
     subject=("algorithms=[lion,lambda_td3_bc,rvs,mopo]",),
     defaults=(SIXTEEN, "seeds=[0,1]", "mopo_penalties=[0,0.5,1,1.5,2,2.5]"),
+    takes="days; with profile=quick hours",
     draw=_draw,
 )

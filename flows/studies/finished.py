@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -22,9 +22,24 @@ from flows.pipeline.store import ArtifactStore
 from flows.report.comparison import comparable_behaviour
 from flows.studies.study import Drawn
 
-__all__ = ["Cell", "cells", "levels", "opened", "panels", "written"]
+__all__ = ["Cell", "cells", "decimals", "levels", "opened", "panels", "written"]
 
 Array = NDArray[np.float64]
+
+
+_DECIMALS: Final = {
+    **dict.fromkeys(("drops", "tried"), 0),
+    **dict.fromkeys(("best λ", "below the log from λ", "distance at 1"), 2),
+    **dict.fromkeys(("knob", "at", "thesis knob", "eta", "beta"), 2),
+    **dict.fromkeys(("error", "deviation", "clone"), 4),
+}
+"""Of columns of studies' tables; other numbers are returns, and have one."""
+
+
+def decimals(table: pd.DataFrame) -> dict[str, int]:
+    """By column of numbers, the decimals that are shown."""
+    numbers = table.select_dtypes("number").columns
+    return {name: _DECIMALS.get(name, 1) for name in numbers}
 
 
 @dataclass(frozen=True)
@@ -126,7 +141,6 @@ def written(
     folder: Path,
     name: str,
     table: pd.DataFrame,
-    digits: Mapping[str, int],
     thesis: str,
     figures: Mapping[str, tuple[Sequence[Panel], str, Mapping[str, Any]]],
 ) -> Drawn:
@@ -136,7 +150,6 @@ def written(
         folder: An existing one.
         name: Of the study; its table is `NAME.csv`, with what is said about it `NAME.md`.
         table: What was found.
-        digits: Decimals of its columns of numbers.
         thesis: What the thesis says, as Markdown.
         figures: By name of the file panels, label of their horizontal axes, and further arguments
             of :func:`.panels_figure`.
@@ -145,7 +158,7 @@ def written(
     for figure, (drawn, below, how) in figures.items():
         files.append(folder / f"{figure}.png")
         save_figure(panels_figure(drawn, below, **how), files[-1])
-    text = f"{markdown(table, digits)}\n{thesis}"
+    text = f"{markdown(table, decimals(table))}\n{thesis}"
     for suffix, content in (
         ("csv", table.to_csv(index=False, lineterminator="\n")),
         ("md", text),

@@ -82,9 +82,8 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
                 row |= {f"{line.name} best": line.mean.max(), f"{line.name} last": line.mean[-1]}
             rows.append(row)
     table = pd.DataFrame(rows)
-    digits = dict.fromkeys(table.columns[2:], 1)
     how = {"beside": "return of an episode", "level": "episodes of the log"}
-    return written(folder, _NAME, table, digits, _SAID, {_NAME: (panels, "updates", how)})
+    return written(folder, _NAME, table, _SAID, {_NAME: (panels, "updates", how)})
 
 
 STUDY: Final = Study(

@@ -20,18 +20,6 @@ from flows.studies.study import Drawn, Study
 
 __all__ = ["STUDIES", "proximity_table"]
 
-_DIGITS: Final = {
-    "log": 1,
-    "at 0": 1,
-    "best": 1,
-    "best λ": 2,
-    "at 1": 1,
-    "below the log from λ": 2,
-    "distance at 1": 2,
-    "drops": 0,
-    "reach": 1,
-}
-
 _READ: Final = """\
 Returns are means over the seeds. `below the log from λ`: the first λ from which on the return
 stays more than 2 % below that of the log; empty where there is none. `drops`: how often one step
@@ -96,7 +84,7 @@ def _draw(
     }
     table = proximity_table(found, level, names)
     figure = (panels(lines, level), "proximity λ", {})
-    return written(folder, name, table, _DIGITS, _READ + thesis, {name: figure})
+    return written(folder, name, table, _READ + thesis, {name: figure})
 
 
 def _study(

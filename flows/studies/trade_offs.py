@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from components.aggregation.first_drop import Search, stop_at_first_drop
 from components.algorithms import rvs
+from components.evaluation.curves import first_drop, shape_of
 from components.reporting.panels import Line, Panel
 from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
@@ -56,18 +56,19 @@ class TradeOff:
     distance: Array
 
     @property
-    def search(self) -> Search:
-        """How the strategy ends."""
-        return stop_at_first_drop(self.returns.tolist())
+    def defined(self) -> Array:
+        """The returns, of policies that broke less than any other."""
+        return np.where(np.isnan(self.returns), np.nanmin(self.returns) - 1.0, self.returns)
 
 
 def _trade_offs(plan: Plan, store: ArtifactStore) -> list[TradeOff]:
-    found = cells(plan, store)
     groups: dict[tuple[str, str], list[Cell]] = {}
-    for cell in found:
-        groups.setdefault((cell.dataset, cell.algorithm), []).append(cell)
+    for cell in cells(plan, store):
+        whole = "mopo" if cell.algorithm == "mopo" else cell.label
+        groups.setdefault((cell.dataset, whole), []).append(cell)
     made = []
-    for (dataset, algorithm), group in groups.items():
+    for (dataset, _), group in groups.items():
+        algorithm = group[0].algorithm
         if algorithm == "mopo":  # a policy per penalty, the greatest of which constrains most
             own = sorted(group, key=lambda cell: -cell.settings["penalty"])
             knob = np.array([cell.settings["penalty"] for cell in own])
@@ -97,37 +98,31 @@ def _thesis() -> pd.DataFrame:
 _FINAL: Final = {"lion": "final_lambda", "mopo": "final_lambda", "rvs": "final_return_to_go"}
 
 
-def trade_off_table(
-    found: Sequence[TradeOff], level: Mapping[str, float]
-) -> tuple[pd.DataFrame, dict[str, int]]:
-    """One row per dataset and algorithm, beside the thesis where it has one; and decimals."""
+def trade_off_table(found: Sequence[TradeOff], level: Mapping[str, float]) -> pd.DataFrame:
+    """One row per dataset and algorithm, beside the thesis where it has one."""
     rows = []
     for entry in found:
-        search, thesis = entry.search, _thesis()
+        chosen, tried = first_drop(entry.defined)
+        shape, thesis = shape_of(entry.defined), _thesis()
         known = entry.dataset in thesis.index
-        steps = np.diff(entry.returns)
-        turns = steps[np.abs(steps) > 0]
         rows.append(
             {
                 "dataset": entry.dataset,
                 "algorithm": _NAMES[entry.algorithm],
                 "log": level[entry.dataset],
                 "start": entry.returns[0],
-                "final knob": entry.knob[search.chosen],
-                "final return": entry.returns[search.chosen],
-                "tried": search.tried,
-                "worst tried": search.worst,
-                "best there is": float(np.nanmax(entry.returns)),
-                "at": entry.knob[int(np.nanargmax(entry.returns))],
-                "turns": int((np.diff(np.sign(turns)) != 0).sum()),
+                "knob": entry.knob[chosen],
+                "final return": entry.returns[chosen],
+                "tried": tried,
+                "worst tried": np.nanmin(entry.returns[:tried]),
+                "best there is": shape.peak,
+                "at": entry.knob[shape.at],
+                "zigzag": shape.zigzag,
                 "thesis knob": _of(thesis, entry, _FINAL[entry.algorithm], known),
                 "thesis return": _of(thesis, entry, "return", known),
             }
         )
-    table = pd.DataFrame(rows)
-    numbers = [name for name in table.columns if name not in ("dataset", "algorithm")]
-    digits = dict.fromkeys(numbers, 1)
-    return table, digits | {"final knob": 2, "at": 2, "thesis knob": 2, "tried": 0, "turns": 0}
+    return pd.DataFrame(rows)
 
 
 def _of(thesis: pd.DataFrame, entry: TradeOff, column: str, known: bool) -> float:
@@ -138,9 +133,9 @@ _SAID: Final = """\
 The user starts with the most constrained policy (λ = 0, the largest penalty, the log's mean
 return), loosens step by step, and goes back to the last best as soon as a step loses (thesis
 6.6.1). `start`, `final return` and `worst tried` are mean returns over the seeds in the real
-system, `tried` counts policies that were deployed; `turns` says how often the whole curve changes
-its direction. RvS's knob is the return that it is asked for, in twenty steps from the mean to the
-best of the log.
+system, `tried` counts policies that were deployed; `zigzag` is the variation of the whole
+curve beyond that of one with a single hump. RvS's knob is the return that it is asked for, in
+twenty steps from the mean to the best of the log.
 
 The thesis: the strategy serves LION best, whose curves are smooth; MOPO and RvS go up and down,
 so that it stops early. With MOPO there are better policies on bad-0.4 and mediocre-0.0 than LION
@@ -156,20 +151,20 @@ _AXES: Final = {
 
 def _draw(plan: Plan, store: ArtifactStore, folder: Path, *, name: str) -> Drawn:
     found, level = _trade_offs(plan, store), levels(plan, store)
-    table, digits = trade_off_table(found, level)
+    table = trade_off_table(found, level)
     figures: dict[str, tuple[Sequence[Panel], str, Mapping[str, Any]]] = {}
     for algorithm, (file, below, how) in _AXES.items():
         own = [entry for entry in found if entry.algorithm == algorithm]
         if own:
             figures[file] = ([_panel(entry, level) for entry in own], below, how)
-    return written(folder, name, table, digits, _SAID, figures)
+    return written(folder, name, table, _SAID, figures)
 
 
 def _panel(entry: TradeOff, level: Mapping[str, float]) -> Panel:
     order = np.argsort(entry.knob)
     columns = (entry.knob, entry.returns, entry.deviation, entry.distance)
     line = Line(_NAMES[entry.algorithm], *(column[order] for column in columns))
-    chosen = entry.search.chosen
+    chosen, _ = first_drop(entry.defined)
     mark = float(entry.knob[chosen]), float(entry.returns[chosen])
     return Panel(entry.dataset, level[entry.dataset], [line], mark)
 

@@ -1,6 +1,6 @@
-"""Experts as task functions: training, one lane per seed, the choice of a seed, a search, and logs.
+"""Experts as task functions: training, choice of a seed, a search around it, and logs.
 
-This is data generation: all of it runs the real system, and nothing but the data logged by the
+This is data generation: all steps run the real system, and nothing but the data logged by the
 chosen expert reaches a learner.
 """
 

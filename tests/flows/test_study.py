@@ -34,7 +34,7 @@ def door(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "name a study first, e.g. world; there are world, autopilot, dials"),
+        ([], f"name a study first, e.g. world; there are {', '.join(STUDIES)}"),
         (["seeds=[0]"], "name a study first"),
         (
             ["wrld"],

@@ -13,6 +13,7 @@ from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.board import Entry, View
 from flows.pipeline.tracking.mlflow_board import MlflowBoard
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
+from flows.pipeline.tracking.mlflow_finished import FinishedRuns
 from flows.pipeline.tracking.mlflow_run import flat, read_content
 from flows.pipeline.tracking.mlflow_sweep import MlflowSweep
 from flows.pipeline.tracking.tracker import Metrics
@@ -45,7 +46,8 @@ class MlflowTracker:
         self.sweep = MlflowSweep(self.experiment)
         self._source = source
         self._board: MlflowBoard | None = None
-        self._runs: dict[str, tuple[str, Mapping[str, str]]] = {}  # id and tags by key
+        self._finished = FinishedRuns(self.experiment, (_CONTENT,))
+        self._runs: dict[str, tuple[str, Mapping[str, str]]] = {}  # id and own tags by key
 
     def open(
         self,
@@ -62,13 +64,11 @@ class MlflowTracker:
         """
         self.sweep.open(name, tags, params, plan)
         wanted = None if plan is None else {node.key for node in plan}
-        with self.experiment.as_tracking_errors():
-            for run in self.experiment.search(
-                "attributes.status = 'FINISHED' and tags.role = 'node'"
-            ):
-                key = run.data.tags.get("key", "")
+        self._finished = FinishedRuns(self.experiment, (_CONTENT, self._mark))
+        with self.experiment.writing():
+            for key, run_id, found in self._finished.all():
                 if wanted is None or key in wanted:
-                    self._runs[key] = (run.info.run_id, run.data.tags)
+                    self._runs[key] = (run_id, found)
 
     def close(
         self, status: str, files: Iterable[Path] = (), metrics: Metrics | None = None
@@ -133,7 +133,8 @@ class MlflowTracker:
                 folder=folder,
                 times=_times(content.record),
             )
-            self._runs[node.key] = (run_id, written)
+            own = {name: written[name] for name in (_CONTENT, self._mark) if name in written}
+            self._runs[node.key] = (run_id, own)
             return True
 
     def run_of(self, node: Node) -> str:
@@ -202,10 +203,8 @@ class MlflowTracker:
         """Whether there is a run of this result; one of an artifact with other files is deleted."""
         if key not in self._runs:
             # A driver of another sweep may have recorded it since this one started.
-            found = f"attributes.status = 'FINISHED' and tags.key = '{key}' and tags.role = 'node'"
-            run = next(self.experiment.search(found), None)
-            if run is not None:
-                self._runs[key] = (run.info.run_id, run.data.tags)
+            for other, run_id, tags in self._finished.new(key):
+                self._runs.setdefault(other, (run_id, tags))
         if key not in self._runs:
             return False
         run_id, tags = self._runs[key]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from components.core.integrity import DamagedFileError
-from components.experts.replay import Replay
+from components.experts.replay import Replay, replayed_episodes
 
 CPU = torch.device("cpu")
 LANES, STEPS = 2, 5
@@ -85,3 +85,30 @@ def test_a_damaged_file_is_named(tmp_path: Path, damage: str, said: str) -> None
     with pytest.raises(DamagedFileError, match=f"0 holds {said}.* its checkpoint") as caught:
         Replay(LANES, 8, 3, 2, CPU, files).restore(STEPS, digests)
     assert caught.value.path == files[0]
+
+
+def test_episodes_are_those_that_were_collected(tmp_path: Path) -> None:
+    """They end with a fall, at the time limit of two steps, and with the last row."""
+    filled([tmp_path / f"{lane}" for lane in range(LANES)])
+    for lane, (lengths, fallen) in enumerate(
+        (([2, 2, 1], [True, False, False]), ([2, 2, 1], [False, True, False]))
+    ):
+        rows = np.fromfile(tmp_path / f"{lane}", np.float32).reshape(STEPS, -1)
+        episodes = replayed_episodes(rows, 3, 2, horizon=2)
+        assert [episode.steps for episode in episodes] == lengths
+        assert [episode.terminated for episode in episodes] == fallen
+        for n, last in ((0, False), (1, True), (4, True)):
+            episode, step = episodes[n // 2], n % 2
+            np.testing.assert_array_equal(
+                episode.frames[step], numbers(n, LANES, 3)[lane].astype("f4")
+            )
+            np.testing.assert_array_equal(
+                episode.actions[step], numbers(200 + n, LANES, 2)[lane].astype("f4")
+            )
+            assert episode.rewards[step] == np.float32(numbers(300 + n, LANES)[lane])
+            if last:
+                after = numbers(100 + n, LANES, 3)[lane].astype("f4")
+                np.testing.assert_array_equal(episode.frames[-1], after)
+    [whole] = replayed_episodes(rows[:1], 3, 2, horizon=9)
+    assert whole.steps == 1
+    assert not whole.terminated, "what follows the last row is not known"

@@ -228,10 +228,10 @@ def record_of(key: str, **values: Any) -> dict[str, Any]:
     return {"key": key, "name": key, "component": "toys", "inputs": {}} | measured | values
 
 
-def diamond(log: Path, pause: float = 0.05, hold: int = -1) -> list[Node]:
+def diamond(log: Path, pause: float = 0.05, hold: int = -1, patience: float = 60.0) -> list[Node]:
     """Two numbers, two groups of three counters on them, one sum.
 
-    With `hold` the counters wait at that step for the file `go`, see `steps`.
+    With `hold` the counters wait at that step for the file `go`, at most `patience` seconds.
     """
     numbers = [
         node("number", f"n{i}", log, component="data", number=i + 1, cost=0.1) for i in range(2)
@@ -248,6 +248,7 @@ def diamond(log: Path, pause: float = 0.05, hold: int = -1) -> list[Node]:
             steps=20,
             pause=pause,
             hold=hold,
+            patience=patience,
         )
         for i, source in enumerate(numbers)
         for lane in range(3)
