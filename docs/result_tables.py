@@ -343,6 +343,8 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "judges": judges,
     "judged": judged,
     "blind": blind,
+    "lion_over_lambda": lambda: study("figure-6.5"),
+    "rvs_returns": lambda: study("figure-6.8"),
     "autopilot": autopilot,
     "autopilot_slopes": autopilot_slopes,
     "warnings": warnings,

@@ -38,7 +38,7 @@ def door(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         (["seeds=[0]"], "name a study first"),
         (
             ["wrld"],
-            "Unknown study 'wrld'; there are world, autopilot, dials. Did you mean 'world'?",
+            f"Unknown study 'wrld'; there are {', '.join(STUDIES)}. Did you mean 'world'?",
         ),
         (
             ["world", "datasets=[hopper]"],
