@@ -14,7 +14,7 @@ from flows.configuration.settings import RUNNER_ALIASES, Settings
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import sweep_name
-from flows.planning.experts import expert_plan, final_experts
+from flows.planning.experts import expert_plan
 
 HELP = f"""\
 usage: python -m flows.train_experts [KEY=VALUE ...]
@@ -31,8 +31,6 @@ robot together, for hours. To continue a training that was stopped, give the sam
   experts.episodes=100            episodes that evaluate the chosen expert
   experts.discount=0.99           of the returns on its card
   experts.training.KEY=VALUE      a setting of the training, e.g. experts.training.exploration=0.2
-  experts.refinement.KEY=VALUE    of the search for better output weights that may follow it, e.g.
-                                  experts.refinement.iterations=100
 {COMMON_HELP}"""
 
 ALIASES = RUNNER_ALIASES | {
@@ -50,10 +48,11 @@ def _run(settings: Settings) -> int:
 
     def report(outcome: Outcome) -> tuple[list[Path], Metrics]:
         metrics: dict[str, list[tuple[int, float]]] = {}
+        chosen = [node for node in plan if node.component == "expert_choice"]
         print(
             f"{'expert':<10}{'seed':>5}{'step':>9}{'return':>10}{'std':>8}{'100 steps':>11}  folder"
         )
-        for node in final_experts(plan):
+        for node in chosen:
             if not store.complete(node.key):
                 continue
             folder = store.path(node.key) / "expert"

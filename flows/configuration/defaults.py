@@ -11,7 +11,6 @@ from typing import Any
 from components.algorithms import ALGORITHMS
 from components.evaluation.protocol import EvaluationProtocol
 from components.experts.online import ExpertConfig
-from components.experts.refinement import RefinementConfig
 from components.judging.config import JudgeConfig
 from components.models import MODELS
 from components.models.action_stochasticity import StochasticityConfig
@@ -33,7 +32,7 @@ def component_defaults() -> dict[str, Any]:
         "algorithm": {name: asdict(kind()) for name, kind in ALGORITHM_CONFIGS.items()},
         "model": {name: asdict(kind()) for name, kind in MODEL_CONFIGS.items()},
         "evaluation": asdict(EvaluationProtocol()),
-        "experts": {"training": asdict(ExpertConfig()), "refinement": asdict(RefinementConfig())},
+        "experts": {"training": asdict(ExpertConfig())},
         "judging": {"estimates": asdict(JudgeConfig())},
         "ranking": {"stochasticity": asdict(StochasticityConfig())},
     }

@@ -26,11 +26,15 @@ __all__ = [
 ]
 
 RUNNER_ALIASES: Mapping[str, str] = {
-    name: f"runner.{name}" for name in ("repair", "max_hours", "until", "pack")
+    name: f"runner.{name}" for name in ("repair", "max_hours", "until")
 }
 """Those of every door that runs a sweep."""
 
-ALIASES: Mapping[str, str] = {"models": "models.source", **RUNNER_ALIASES}
+ALIASES: Mapping[str, str] = {
+    "models": "models.source",
+    "pack": "runner.pack",
+    **RUNNER_ALIASES,
+}
 """Short keys of the command line and the full keys they stand for; a door may have others."""
 
 KindOf = Callable[[str], Any]

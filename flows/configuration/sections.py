@@ -10,7 +10,6 @@ from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
 from components.experts.online import ExpertConfig
-from components.experts.refinement import RefinementConfig
 from components.judging.config import JudgeConfig
 from components.models.action_stochasticity import StochasticityConfig
 from flows.configuration.checking import SettingsError, StrictModel, hint
@@ -148,7 +147,6 @@ class ExpertsSettings(StrictModel):
     discount: float = Field(gt=0, le=1)
     install: bool
     training: ExpertConfig
-    refinement: RefinementConfig
 
 
 class RunnerSettings(StrictModel):

@@ -1,12 +1,12 @@
-"""Experts as task functions: training, choice of a seed, a search around it, and logs.
+"""Experts as task functions: training, one lane per seed, the choice of a seed, and logs.
 
-This is data generation: all steps run the real system, and nothing but the data logged by the
+This is data generation: all of it runs the real system, and nothing but the data logged by the
 chosen expert reaches a learner.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Final
 
@@ -27,9 +27,8 @@ from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import check_simulator
-from components.experts.episodes import EpisodeReturns, evaluate_episodes
+from components.experts.episodes import evaluate_episodes
 from components.experts.online import ExpertConfig
-from components.experts.refinement import RefinementConfig, refine
 from components.experts.replay import replayed_episodes
 from components.experts.training import train_experts
 from components.policies.policy import Policy
@@ -45,7 +44,7 @@ from flows.tasks.artifacts import (
     write_numbers,
 )
 
-__all__ = ["TRANSITIONS", "choose_expert", "log_episodes", "refine_expert", "train_expert"]
+__all__ = ["TRANSITIONS", "choose_expert", "log_episodes", "train_expert"]
 
 TRANSITIONS: Final = "transitions.npy"
 """The replay memory of a training, where it is kept."""
@@ -158,7 +157,16 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
         best = max(finite, key=lambda seed: reached[seed]["return"])
         policy = read_input(job, f"seed{best}", Policy.load, "policy")
         training = config["training"]
-        returns = _verdict(policy, config, training["horizon"], context.threads)
+        return_steps = min(RETURN_STEPS, training["horizon"])
+        key = lane_key("expert", config["robot"], "verdict")
+        returns = evaluate_episodes(
+            lambda frames, policy=policy: act_in_double(policy, frames),
+            _robots(config, config["episodes"], context.threads),
+            [lane_generator(key, episode) for episode in range(config["episodes"])],
+            horizon=training["horizon"],
+            discount=config["discount"],
+            return_steps=return_steps,
+        )
         card = ExpertCard(
             robot=config["robot"],
             environment=ROBOTS[config["robot"]].id,
@@ -169,56 +177,10 @@ def choose_expert(jobs: Sequence[Job], context: TaskContext) -> None:
             step=reached[best]["step"],
             training=training,
             episodes=config["episodes"],
-            return_steps=min(RETURN_STEPS, training["horizon"]),
+            return_steps=return_steps,
             discount=config["discount"],
             **asdict(returns),
         )
         (job.out / "expert").mkdir()
         Expert(policy, card).save(job.out / "expert")
         write_numbers(job.out / "metrics.json", {**asdict(returns), "seed": best})
-
-
-def refine_expert(jobs: Sequence[Job], context: TaskContext) -> None:
-    """Expert refinement: `expert/` holds the expert with better output weights, if any were."""
-    for job in jobs:
-        config = job.config
-        search = config_object(RefinementConfig, config["refinement"])
-        expert = read_input(job, "expert", Expert.load, "expert")
-        card, horizon = expert.card, expert.card.training["horizon"]
-        policy, reached, step, curves = refine(
-            search,
-            lane_key("refinement", card.robot, card.seed),
-            job.key,
-            expert.policy,
-            lambda copies, config=config: _robots(config, copies, context.threads),
-            horizon=horizon,
-            work=context.work,
-            progress=context.progress,
-        )
-        returns = _verdict(policy, config, horizon, context.threads)
-        refined = replace(
-            card,
-            refinement=config["refinement"],
-            refined_at=step,
-            refined_from=card.return_mean,
-            **asdict(returns),
-        )
-        (job.out / "expert").mkdir()
-        Expert(policy, refined).save(job.out / "expert")
-        write_numbers(job.out / "metrics.json", {**asdict(returns), "best/return": reached})
-        write_curves(job.out / "curves.npz", curves.of_lane(0))
-
-
-def _verdict(
-    policy: Policy, config: Mapping[str, Any], horizon: int, threads: int
-) -> EpisodeReturns:
-    """Returns in new episodes, the same ones for all experts of a robot."""
-    key = lane_key("expert", config["robot"], "verdict")
-    return evaluate_episodes(
-        lambda frames: act_in_double(policy, frames),
-        _robots(config, config["episodes"], threads),
-        [lane_generator(key, episode) for episode in range(config["episodes"])],
-        horizon=horizon,
-        discount=config["discount"],
-        return_steps=min(RETURN_STEPS, horizon),
-    )

@@ -20,7 +20,7 @@ from flows.command_line import main
 from flows.configuration.settings import SettingsError, load_settings
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.task import Job, TaskContext, load_task
-from flows.planning.experts import expert_plan, final_experts
+from flows.planning.experts import expert_plan
 from flows.train_experts import ALIASES
 from tests.components.interruption import KilledError, dying
 
@@ -155,28 +155,6 @@ def test_a_seed_without_a_finite_return_is_not_chosen(
     reach(float("nan"), float("-inf"))
     with pytest.raises(ValueError, match="No seed of swimmer has reached a finite return"):
         load_task(choice.task)(jobs_of([choice], tmp_path / "again"), TaskContext(tmp_path))
-
-
-def test_a_search_around_the_chosen_expert_may_follow(tmp_path: Path) -> None:
-    words = ("iterations=2", "directions=2", "components=3", "evaluate_every=1", "episodes=2")
-    plan = plan_of(*(f"experts.refinement.{word}" for word in words))
-    assert {n.key for n in plan_of()} < {n.key for n in plan}
-    *seeds, choice, search = plan
-    assert final_experts(plan) == [search]
-    assert final_experts(plan_of())[0].key == choice.key
-    run(seeds, tmp_path)
-    run([choice], tmp_path)
-    (tmp_path / "work").rename(tmp_path / "trained")  # the search has a folder of its own
-    run([search], tmp_path)
-    before, after = (Expert.load(tmp_path / n.key / "expert").card for n in (choice, search))
-    assert (before.refinement, before.refined_at, before.refined_from) == (None, None, None)
-    assert after.refinement == search.config["refinement"]
-    assert after.refined_at in (1, 2)
-    assert after.refined_from == before.return_mean
-    assert (after.seed, after.step, after.training) == (before.seed, before.step, before.training)
-    assert after.return_mean != before.return_mean
-    with np.load(tmp_path / search.key / "curves.npz", allow_pickle=False) as curves:
-        assert curves["evaluation/return/step"].tolist() == [1, 2]
 
 
 @pytest.mark.slow(2)
