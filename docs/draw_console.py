@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -20,7 +21,7 @@ WIDE, PHONE = 1400, 390
 COLOURS = 128  # of a picture
 ANIMATION = 720  # pixels, its width
 SHADES = 48  # its colours
-EPISODES = 6  # that it shows, of 25 steps each
+EPISODES = 4  # that it shows, of 25 steps each
 EVERY = 2  # steps from one picture to the next
 DURATION = 110  # milliseconds that each is shown
 RAISED = (0.2, 0.75)  # shares of the animation between which the proximity rises
@@ -105,17 +106,25 @@ def _animate(page: Page, address: str) -> None:
     page.get_by_role("button", name="Reset").click()
     page.get_by_role("button", name="Pause").click()
     shown = int(page.locator(".scene").get_attribute("data-steps") or 0)
+    dial, scene = (page.locator(part).bounding_box() for part in (".dial", ".scene"))
+    assert dial is not None
+    assert scene is not None
+    bottom = scene["y"] + scene["height"] + 12
+    shot: Any = {"x": dial["x"], "y": dial["y"] - 6, "width": dial["width"]}
+    shot["height"] = bottom - shot["y"]
+    step_on = page.get_by_role("button", name="Step").element_handle()
     pictures, steps = [], 25 * EPISODES
     low, high = RAISED
     for step in range(steps):
         share = (step / steps - low) / (high - low)
         if 0 <= share <= 1:
             _turn(page, min(0.999, max(0.001, share)))
-        page.get_by_role("button", name="Step").click()
+        step_on.evaluate("button => button.click()")
         _drawn(page, shown + step + 1)
         if step % EVERY == 0:
-            parts = [page.locator(part).screenshot() for part in (".dial", ".gauges", ".scene")]
-            pictures.append(_stacked([Image.open(BytesIO(part)) for part in parts]))
+            picture = Image.open(BytesIO(page.screenshot(clip=shot))).convert("RGB")
+            height = round(picture.height * ANIMATION / picture.width)
+            pictures.append(picture.resize((ANIMATION, height)))
     palette = pictures[-1].quantize(SHADES)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     frames[0].save(
@@ -126,18 +135,6 @@ def _animate(page: Page, address: str) -> None:
         loop=0,
         optimize=True,
     )
-
-
-def _stacked(parts: list[Image.Image]) -> Image.Image:
-    """Pictures below each other, of the animation's width."""
-    scaled = [p.convert("RGB") for p in parts]
-    scaled = [p.resize((ANIMATION, round(p.height * ANIMATION / p.width))) for p in scaled]
-    whole = Image.new("RGB", (ANIMATION, sum(p.height for p in scaled)), "white")
-    top = 0
-    for part in scaled:
-        whole.paste(part, (0, top))
-        top += part.height
-    return whole
 
 
 if __name__ == "__main__":
