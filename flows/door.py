@@ -46,4 +46,15 @@ def run_door(
     except KeyboardInterrupt:
         print(f"{door}: interrupted; give the same command again to continue.", file=sys.stderr)
         code = exit_code()
+        _forget_interrupt()
     sys.exit(code)
+
+
+def _forget_interrupt() -> None:
+    """Keeps the exit code of an interrupt that was handled.
+
+    CPython remembers one that has left code executed from a text, as importing a dataclass does,
+    and kills itself with SIGINT in the end whatever was done about it. The next text that is
+    executed makes it forget.
+    """
+    exec("")

@@ -39,3 +39,23 @@ def test_an_interrupt_while_a_command_imports_leaves_no_traceback(
     assert done.returncode == 128 + signal.SIGINT
     assert done.stderr == "\nInterrupted before anything had begun.\n"
     assert done.stdout == ""
+
+
+def test_the_exit_code_does_not_depend_on_where_a_command_was_interrupted(tmp_path: Path) -> None:
+    """CPython itself would end with SIGINT after an interrupt inside code made from a text."""
+    (tmp_path / "here.py").write_text(
+        "import signal\n"
+        "from flows.door import run_door\n"
+        "def body(words): exec('signal.raise_signal(signal.SIGTERM)')\n"
+        "run_door('here', '', list, body)\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "here"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.getcwd()])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == "here: interrupted; give the same command again to continue.\n"
