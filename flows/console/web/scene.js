@@ -37,7 +37,6 @@ export default {
         trail.usual.push(step.places[1]);
         if (this.trails.length > 5) this.trails.shift();
       }
-      if (step.arrows) this.arrows = step.arrows;
       this.$el.dataset.steps = ++this.drawn;
       if (!this.waiting) {
         this.waiting = true;
