@@ -30,7 +30,7 @@ class Thesis:
 def thesis_numbers() -> Mapping[tuple[str, str], tuple[float, float]]:
     """Tables 5.3 and 5.4: (dataset, algorithm) -> (10th percentile, standard error)."""
     file = resources.files("components.reporting").joinpath("thesis", "tables_5_3_and_5_4.csv")
-    with file.open(encoding="utf-8", newline="") as opened:
+    with file.open(encoding="utf-8") as opened:
         return {
             (row["dataset"], row["algorithm"]): (
                 float(row["tenth_percentile_return"]),

@@ -10,6 +10,7 @@ from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
 from flows.pipeline.remote.bringing import bring
+from flows.pipeline.remote.places import address_of
 from flows.pipeline.store import ArtifactStore
 from flows.report.gather import gather
 from flows.report.stored_nodes import has_cells, sweeps_of
@@ -64,8 +65,7 @@ def load_report_settings(words: Sequence[str]) -> ReportSettings:
             raise SettingsError(f"{key} is given twice; give it once.")
         fields[key] = value
     settings: ReportSettings = build_config(ReportSettings, "", fields)
-    bring(settings.store, settings.sweep)
-    if not (settings.store / "nodes").is_dir():
+    if address_of(settings.store) is None and not (settings.store / "nodes").is_dir():
         raise SettingsError(
             f"store={settings.store} holds no runs; give the folder that a sweep has made."
         )
@@ -82,6 +82,7 @@ def report(settings: ReportSettings) -> int:
         SettingsError: There is no such sweep, or nothing of it is finished.
         DamagedFileError: A file behind the report is missing or damaged.
     """
+    bring(settings.store, settings.sweep)
     store = ArtifactStore(settings.store, create=False)
     names = settings.sweep or _only(store)
     evidence = gather(store, names)

@@ -26,7 +26,8 @@ __all__ = ["STUDY", "autopilot_table"]
 _READ: Final = """\
 All in returns of the real system, means over policies and five searches each. `clone` is λ = 0,
 `best` the best λ of the grid, which nobody knows beforehand. Of each strategy: the return at the λ
-that it ends with, the least return on the way, trajectories used, and in how many of the searches
+that it ends with, the worst step on the way (the least difference of a mean return from that of the
+same policy's clone, in any search), trajectories used, and in how many of the searches
 a λ was tried that returns less than the clone by more than a tenth of its size. The autopilot may
 use 50 trajectories, assumes that the return falls by at most four times the clone's size per unit
 of λ, and may fail in one search of ten; `first drop` tries each λ with one trajectory, `first drop
@@ -60,7 +61,7 @@ def _row(found: Sequence[Flights]) -> dict[str, float]:
         row |= {
             f"{name}: λ": float(np.mean([flight.proximity for _, flight in flights])),
             f"{name}: return": float(np.mean([clone + flight.gain for clone, flight in flights])),
-            f"{name}: worst": float(min(clone + flight.worst for clone, flight in flights)),
+            f"{name}: worst": float(min(flight.worst for _, flight in flights)),
             f"{name}: trajectories": float(np.mean([flight.trajectories for _, flight in flights])),
             f"{name}: below": float(np.mean([one.share_below(name) for one in found])),
         }
