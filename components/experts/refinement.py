@@ -102,7 +102,7 @@ class OutputSearch:
 
     def _shown(self, frames: Array) -> Array:
         """What the last hidden layer shows, ``[N, H]``."""
-        x = (frames - self._mean) / self._scale
+        x: Array = (frames - self._mean) / self._scale
         for weight, bias in self._hidden:
             x = np.maximum(x @ weight + bias, 0.0)
         return x
@@ -181,10 +181,10 @@ class OutputSearch:
     def best(self) -> tuple[Policy, float, int]:
         """The best policy, its mean return at that evaluation, and its iteration."""
         change = self._basis @ self._best[:-1]
-        weight, bias = self._output
-        output = weight + change, bias + self._best[-1] - self._centre @ change
+        output = self._output[0] + change, self._output[1] + self._best[-1] - self._centre @ change
         *hidden, _ = self._policy.layers
-        layers = [*hidden, tuple(torch.from_numpy(part)[None].float() for part in output)]
+        weight, bias = (torch.from_numpy(part)[None].float() for part in output)
+        layers = [*hidden, (weight, bias)]
         card = replace(self._policy.card, steps=(self._policy.card.steps[0] + self._best_step,))
         policy = Policy.of_networks(card, {"actor": layers}, self._policy.frames)
         return policy, self._best_return, self._best_step

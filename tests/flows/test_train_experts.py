@@ -169,7 +169,7 @@ def test_a_search_around_the_chosen_expert_may_follow(tmp_path: Path) -> None:
     (tmp_path / "work").rename(tmp_path / "trained")  # the search has a folder of its own
     run([search], tmp_path)
     before, after = (Expert.load(tmp_path / n.key / "expert").card for n in (choice, search))
-    assert (before.refinement, before.refined_at, before.refined_from) == ({}, None, None)
+    assert (before.refinement, before.refined_at, before.refined_from) == (None, None, None)
     assert after.refinement == search.config["refinement"]
     assert after.refined_at in (1, 2)
     assert after.refined_from == before.return_mean

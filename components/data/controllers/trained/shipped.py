@@ -54,7 +54,7 @@ class ExpertCard:
         return_steps: Steps of the discounted return.
         discount: Per step, of the discounted return.
         discounted_return_mean: Mean of their discounted returns over the first steps.
-        refinement: Settings of the search after training, by name; empty where there was none.
+        refinement: Settings of the search after training, by name; None where there was none.
         refined_at: Its iteration after which the policy was kept.
         refined_from: Mean return before it, in the same episodes.
         digest: sha256 of the weights' file.
@@ -75,7 +75,7 @@ class ExpertCard:
     return_steps: int
     discount: float
     discounted_return_mean: float
-    refinement: dict[str, Any] = field(default_factory=dict)
+    refinement: dict[str, Any] | None = None
     refined_at: int | None = None
     refined_from: float | None = None
     digest: str = ""
