@@ -266,6 +266,7 @@ class Operate:
     def _reset(self) -> None:
         if self._bench is not None:
             self._bench.restart()
+            self._scene.clear()
             self._warning.set_visibility(False)
             self._show_pause()
 

@@ -30,6 +30,10 @@ class Scene(ui.element, component=Path(__file__).parent / "web" / "scene.js"):
         """Draw a step."""
         self.run_method("push", step)
 
+    def clear(self) -> None:
+        """Forget what was drawn."""
+        self.run_method("clear")
+
     def turn(self, arrows: list[list[float]]) -> None:
         """Draw other arrows."""
         self.run_method("turn", arrows)

@@ -10,6 +10,7 @@ export default {
   mounted() {
     this.canvas = this.$el.querySelector("canvas");
     this.clear();
+    this.arrows = [];
     this.drawn = 0; // steps drawn so far, for those who measure
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(this.$el);
@@ -19,13 +20,12 @@ export default {
   },
   watch: {
     strips() { this.clear(); this.draw(); },
-    scenery() { this.clear(); this.draw(); },
+    scenery() { this.clear(); this.arrows = []; this.draw(); },
   },
   methods: {
     clear() {
       this.steps = [];
       this.trails = [];
-      this.arrows = [];
     },
     push(step) {
       this.steps.push(step);
@@ -37,7 +37,6 @@ export default {
         trail.usual.push(step.places[1]);
         if (this.trails.length > 5) this.trails.shift();
       }
-      if (step.arrows) this.arrows = step.arrows;
       this.$el.dataset.steps = ++this.drawn;
       if (!this.waiting) {
         this.waiting = true;
