@@ -290,7 +290,7 @@ class Operate:
         self._say(
             f"Saved: {place}. Replay it with python -m flows.console replay={place}, or import it "
             f"with python -m flows.import_log {place}/session.csv name=session "
-            f"schema={place}/session.yaml"
+            f"schema={place}/session.yaml short=drop"
         )
 
     def _download(self) -> None:
