@@ -165,7 +165,8 @@ class Objects:
             return {
                 path[cut:]: int(about["size"] or 0)
                 for path, about in found.items()
-                if not path.rpartition("/")[2].startswith(_HALF)
+                # A name that leads out of the store would lead out of its copy, too.
+                if ".." not in path.split("/") and not path.rpartition("/")[2].startswith(_HALF)
             }
 
         return self._patiently(once)

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -347,3 +348,11 @@ def test_a_bucket_that_is_not_there_is_one_sentence(s3: dict[str, str], url: str
     store = SharedStore("s3://no-such-bucket-here/x", "us")
     with pytest.raises(StoreError, match=r"store=s3://no-such.*does not answer.*check the address"):
         make(store, A)
+
+
+def test_a_name_that_leads_out_of_the_store_is_not_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    objects = Objects("memory://shelf")
+    names = {"/shelf/sweeps/a.json": {"size": 2}, "/shelf/sweeps/../../b.json": {"size": 1}}
+    listing = SimpleNamespace(find=lambda path, detail: names)
+    monkeypatch.setattr(objects, "_fs", listing)
+    assert objects.sizes("sweeps") == {"sweeps/a.json": 2}
