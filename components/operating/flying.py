@@ -8,12 +8,11 @@ from typing import Final
 
 from components.data.card import DatasetCard
 from components.evaluation.autopilot import Autopilot, AutopilotConfig
+from components.operating.caution import USUAL, Caution
 
 __all__ = ["Flying"]
 
 _BUDGET: Final = 60  # trajectories
-_MARGIN: Final = 0.1  # of the size of the logged return: what the operator lets it cost
-_SLOPE: Final = 4.0  # of the same, per unit of proximity: a fifth of it in a step of 0.05
 
 
 class Flying:
@@ -21,13 +20,17 @@ class Flying:
 
     Args:
         card: Of the log: discount, length of a trajectory, and the return of the behaviour.
+        caution: How careful it is.
     """
 
-    def __init__(self, card: DatasetCard) -> None:
+    def __init__(self, card: DatasetCard, caution: Caution = USUAL) -> None:
         self._discount, self._steps = card.discount, min(card.return_steps, card.steps)
         size = max(abs(card.first_window_return_mean), 1e-6)
-        config = AutopilotConfig(budget=_BUDGET, margin=_MARGIN * size, slope=_SLOPE * size)
-        self._search = Autopilot(config)
+        self._search = Autopilot(
+            AutopilotConfig(
+                budget=_BUDGET, margin=caution.margin * size, slope=caution.slope * size
+            )
+        )
         self._taken, self._return = 0, 0.0
         self._proximity = 0.0
 
@@ -35,6 +38,16 @@ class Flying:
     def landed(self) -> bool:
         """Whether a trajectory has just ended, so that the next one needs a fresh start."""
         return self._taken == 0 and self._search.used > 0
+
+    @property
+    def promise(self) -> str:
+        """What is guaranteed, and what that assumes, in a sentence."""
+        config = self._search.config
+        return (
+            f"With {1 - config.risk:.0%} probability no trajectory's mean return lies more than "
+            f"{config.margin:.2g} below the behaviour's, if the return falls by at most "
+            f"{config.slope:.2g} per unit of λ and scatters nowhere more than at λ = 0."
+        )
 
     @property
     def said(self) -> str:

@@ -21,7 +21,7 @@ from components.data.neighbourhood import Neighbourhood
 from components.data.splits import split_episodes
 from components.policies.policy import Policy
 
-__all__ = ["SHIPPED", "Operable", "familiar_frames", "newest", "shipped_names"]
+__all__ = ["SHIPPED", "Operable", "familiar_frames", "newest", "packed_folders"]
 
 SHIPPED: Final = Path(__file__).parent / "shipped"
 """Below it lies one folder per shipped policy."""
@@ -95,9 +95,10 @@ class Operable:
         )
 
 
-def shipped_names() -> tuple[str, ...]:
-    """Names of the shipped policies, which are names of folders in :data:`SHIPPED`."""
-    return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{_CARD}")))
+def packed_folders(parent: Path) -> dict[str, Path]:
+    """Folders of packed policies in a folder, or the folder itself if it is one, by name."""
+    found = sorted(parent.glob(f"*/{_CARD}"))
+    return {path.parent.name: path.parent for path in found or parent.resolve().glob(_CARD)}
 
 
 def newest(policy: Policy) -> Policy:

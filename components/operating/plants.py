@@ -33,7 +33,7 @@ class Plant(Protocol):
 
     @property
     def horizon(self) -> int:
-        """Steps of an episode."""
+        """Steps of the present episode, at most."""
 
     @property
     def setpoint(self) -> float | None:
@@ -116,8 +116,7 @@ class Recorded:
 
     def __init__(self, log: OfflineDataset) -> None:
         self._log = log
-        self.horizon = log.card.steps
-        self._step, self._last, self._frame = 0, 0, 0
+        self.horizon, self._step, self._frame = log.card.steps, 0, 0
 
     def demand(self, setpoint: float) -> None:
         """Refuse: what is recorded does not change.
@@ -130,8 +129,8 @@ class Recorded:
     def start(self, seed: int, episode: int) -> Array:
         """Go to an episode of the log: the first, the second and so on, whatever the seed."""
         chosen = episode % self._log.episodes
-        first, self._last = (int(n) for n in self._log.episode_starts[chosen : chosen + 2])
-        self._step, self._frame = first, first + chosen
+        first, last = (int(n) for n in self._log.episode_starts[chosen : chosen + 2])
+        self.horizon, self._step, self._frame = last - first, first, first + chosen
         return self._frames()
 
     def logged(self) -> Array | None:
@@ -140,10 +139,9 @@ class Recorded:
 
     def step(self, actions: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Go on to the next recorded state, with its recorded reward."""
-        reward = float(self._log.rewards[self._step])
+        reward, ended = self._log.rewards[self._step], self._log.terminated[self._step]
         self._step, self._frame = self._step + 1, self._frame + 1
-        over = self._step >= self._last
-        return self._frames(), np.full(COPIES, reward), np.full(COPIES, over)
+        return self._frames(), np.full(COPIES, float(reward)), np.full(COPIES, bool(ended))
 
     def _frames(self) -> Array:
         return np.repeat(np.asarray(self._log.frames[self._frame], np.float64)[None], COPIES, 0)

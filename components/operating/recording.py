@@ -24,6 +24,7 @@ _TABLE: Final = "session.csv"
 _SCHEMA: Final = "session.yaml"
 _CARD: Final = "session.json"
 _ACTION: Final = "action "
+_OF_LOG: Final = "log "  # before a name of the log that is also one of the table's own
 _WRITTEN: Final = ("episode", "step", "driver", "lambda", "demanded")
 _RESULTS: Final = ("reward", "terminal", "distance", "strangeness", "behaviour reward")
 
@@ -60,10 +61,14 @@ class Recording:
     def __init__(self, operable: Operable, policy: str, seed: int) -> None:
         self._card = RecordingCard(policy=policy, weights=operable.digest, seed=seed)
         card = operable.card
-        actions = [_ACTION + name for name in card.action_features]
-        self._bounds = card.action_bounds or ((-1.0, 1.0),) * len(actions)
-        names = [*_WRITTEN, *card.frame_features, *actions, *_RESULTS]
-        self._log, self._actions = card, actions
+        named = [*card.frame_features, *(_ACTION + name for name in card.action_features)]
+        columns = _apart(named, (*_WRITTEN, *_RESULTS))
+        count = len(card.frame_features)
+        self._log, self._frames, self._actions = card, columns[:count], columns[count:]
+        self._bounds = card.action_bounds or ((-1.0, 1.0),) * len(self._actions)
+        names = [*_WRITTEN, *columns, *_RESULTS]
+        self._first: list[float] = []
+        self._changed = [False] * len(columns)
         self._text = io.StringIO()
         self._table = csv.writer(self._text, lineterminator="\n")
         self._table.writerow(names)
@@ -84,7 +89,13 @@ class Recording:
         written = (step.episode, step.step, driver or step.driver, step.proximity, step.setpoint)
         rewards = step.rewards.tolist()
         results = (rewards[0], int(step.ended), step.distance, step.strangeness, rewards[1])
-        self._table.writerow([*written, *frame.tolist(), *scaled, *results])
+        values = [*frame.tolist(), *scaled]
+        self._first = self._first or values
+        self._changed = [
+            changed or value != first
+            for changed, value, first in zip(self._changed, values, self._first, strict=True)
+        ]
+        self._table.writerow([*written, *values, *results])
         self.steps += 1
 
     @property
@@ -94,12 +105,18 @@ class Recording:
 
     @property
     def schema(self) -> str:
-        """The text of the schema with which `flows.import_log` reads the table."""
-        card = self._log
+        """The text of the schema with which `flows.import_log` reads the table.
+
+        It leaves out what never changed, e.g. a setpoint that nobody touched: an import refuses
+        such columns, as nothing can be learned from them.
+        """
+        card, count = self._log, len(self._frames)
         bounds = zip(self._actions, self._bounds, strict=True)
+        actions = {name: [low, high] for name, (low, high) in bounds}
+        moved = _kept(self._actions, self._changed[count:])
         values = {
-            "features": list(card.frame_features),
-            "actions": {name: [low, high] for name, (low, high) in bounds},
+            "features": _kept(self._frames, self._changed[:count]),
+            "actions": {name: actions[name] for name in moved},
             "reward": "reward",
             "outcome_row": "same",
             "terminal": "terminal",
@@ -175,6 +192,21 @@ def replay(folder: Path, operable: Operable) -> int:
         again.add(session.step(), row.driver)
     _compare(recorded.splitlines(), again.table.splitlines(), path)
     return again.steps
+
+
+def _apart(names: Sequence[str], taken: Sequence[str]) -> list[str]:
+    """Names that differ from each other and from those that are taken."""
+    apart: list[str] = []
+    for name in names:
+        while name in taken or name in apart:
+            name = _OF_LOG + name
+        apart.append(name)
+    return apart
+
+
+def _kept(names: list[str], changed: list[bool]) -> list[str]:
+    """Names of columns that changed; all where none did, so that the import says what it misses."""
+    return [name for name, moved in zip(names, changed, strict=True) if moved] or names
 
 
 def _rows(text: str, path: Path) -> Iterator[_Row]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pydantic import Field
 
+from components.operating.caution import USUAL, Caution
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.overrides import split_word
 from flows.door import run_door
@@ -23,6 +24,10 @@ Ctrl-C.
 
   store=mlruns   folder of the runs, whose policies are offered and whose sweeps are shown; sessions
                  are saved below its sessions/
+  policies=FOLDER  a folder that flows.pack_policy has made, or one of such folders: offered, too
+  margin=0.1     what the autopilot may lose, as a share of the logged return
+  slope=4        how much the return may fall per unit of lambda, in the same share: its guarantee
+                 holds if it falls no faster
   port=8085      of the server; a free one by default
   replay=FOLDER  instead: decide again as a saved session says, and compare every byte of it
 """
@@ -32,6 +37,9 @@ class ConsoleSettings(StrictModel):
     """Where to listen and what to offer."""
 
     store: StoreFolder = Path("mlruns")
+    policies: Path | None = None
+    margin: float = Field(default=USUAL.margin, gt=0, allow_inf_nan=False)
+    slope: float = Field(default=USUAL.slope, gt=0, allow_inf_nan=False)
     port: int | None = Field(default=None, ge=1, le=65535)
     replay: Path | None = None
 
@@ -49,6 +57,11 @@ def load_console_settings(words: Sequence[str]) -> ConsoleSettings:
         if fields.setdefault(key, value) != value:
             raise SettingsError(f"{key} is given twice; give it once.")
     settings: ConsoleSettings = build_config(ConsoleSettings, "", fields)
+    if settings.policies is not None and not _offers(settings.policies):
+        raise SettingsError(
+            f"policies={settings.policies} holds no packed policy; give a folder that python -m "
+            "flows.pack_policy run=ID to=FOLDER has made, or one of such folders."
+        )
     return settings
 
 
@@ -62,27 +75,40 @@ def run(settings: ConsoleSettings) -> int:
         SettingsError: The port is taken, or the recording cannot be replayed here.
     """
     if settings.replay is not None:
-        return _replay(settings.store, settings.replay)
+        return _replay(settings, settings.replay)
     from flows.console.server import bound, serve  # a web server, which a replay does not need
 
     bring(settings.store)
     own = bound(settings.port)
     try:
-        serve(own, settings.store, lambda at: print(f"Open {at} in a browser.", flush=True))
+        serve(
+            own,
+            settings.store,
+            lambda at: print(f"Open {at} in a browser.", flush=True),
+            settings.policies,
+            Caution(settings.margin, settings.slope),
+        )
     except KeyboardInterrupt:  # the usual end, after which there is nothing to continue
         return exit_code()
     return 0
 
 
-def _replay(store: Path, folder: Path) -> int:
+def _offers(folder: Path) -> bool:
+    from components.operating.operable import packed_folders  # imports PyTorch
+
+    return bool(packed_folders(folder))
+
+
+def _replay(settings: ConsoleSettings, folder: Path) -> int:
     from components.operating.recording import card_of, replay
     from flows.console.catalogue import Catalogue, NotOfferedError
 
     try:
-        operable = Catalogue(store).open(card_of(folder).policy)
+        operable = Catalogue(settings.store, settings.policies).open(card_of(folder).policy)
     except NotOfferedError:
         raise SettingsError(
-            f"replay={folder} is of a policy that store={store} does not hold; name its store."
+            f"replay={folder} is of a policy that store={settings.store} does not hold; name its "
+            "store, or with policies= the folder of a packed one."
         ) from None
     steps = replay(folder, operable)
     print(f"{folder}: {steps} steps replayed, to the same bytes.")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from components.environments.systems import SYSTEMS, WORLD
 from components.environments.world.plane import CENTRE, SIDE
+from components.operating.caution import USUAL, Caution
 from components.operating.flying import Flying
 from components.operating.operable import Operable
 from components.operating.recording import Recording
@@ -28,6 +29,7 @@ class Bench:
         operable: What is operated.
         policy: Id under which it was chosen.
         seed: Of starts and noise.
+        caution: Of the autopilot.
 
     Attributes:
         session: The session.
@@ -38,10 +40,19 @@ class Bench:
         strips: What is drawn over time.
     """
 
-    def __init__(self, operable: Operable, policy: str, seed: int = 0) -> None:
+    def __init__(
+        self,
+        operable: Operable,
+        policy: str,
+        seed: int = 0,
+        caution: Caution = USUAL,
+    ) -> None:
         self._operable, self._policy, self._seed = operable, policy, seed
+        self._caution = caution
         real = operable.card.environment in SYSTEMS
-        self.pilot = Flying(operable.card) if real else None  # nothing can be tried on a log
+        self.pilot = (
+            Flying(operable.card, caution) if real else None
+        )  # nothing can be tried on a log
         self.session = Session(operable, seed, self.pilot)
         self.recording = Recording(operable, policy, seed)
         self.running = True
@@ -80,7 +91,7 @@ class Bench:
     def restart(self) -> None:
         """Forget the recording and begin again, from the first start."""
         session = self.session
-        fresh = Bench(self._operable, self._policy, self._seed)
+        fresh = Bench(self._operable, self._policy, self._seed, self._caution)
         fresh.session.proximity, fresh.session.driver = session.proximity, session.driver
         self.session, self.recording, self.pilot = fresh.session, fresh.recording, fresh.pilot
         self.running = True

@@ -1,4 +1,4 @@
-"""The policies that the console offers: those that are shipped, and those of a store, by id.
+"""The policies that the console offers: those shipped, packed, and of a store, by id.
 
 An id comes from a browser, so it is looked up among what is offered and never joined to a path.
 """
@@ -10,7 +10,7 @@ from threading import Lock
 from typing import Any, Final
 
 from components.core.integrity import DamagedFileError
-from components.operating.operable import SHIPPED, Operable, shipped_names
+from components.operating.operable import SHIPPED, Operable, packed_folders
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import TRAINING, open_operable
 
@@ -19,6 +19,7 @@ __all__ = ["Catalogue", "NotOfferedError", "Offer"]
 _KEPT: Final = 4  # opened policies; sessions share them, as nothing of them changes
 _LONGEST: Final = 80  # characters of a name that are shown
 _LARGEST: Final = {".json": 1_000_000, ".safetensors": 300_000_000}  # bytes of a file that is read
+_PACKED: Final = "packed/"  # begins ids, so that no packed one is taken for a shipped one
 _TITLES: Final = {"turbine": "Turbine (shipped)", "world": "2-D world (shipped)"}
 
 
@@ -31,10 +32,11 @@ class Offer:
     """A policy that can be chosen.
 
     Attributes:
-        id: By which it is asked for: the name of a shipped one, or the key of a stored one.
+        id: By which it is asked for: the name of a shipped one, `packed/` and the name of a packed
+            one, or the key of a stored one.
         title: What it is called; text of others, to be shown as text alone.
         folder: Of its small files, whose sizes are checked before they are read.
-        record: `node.json` of a stored one; None: it is shipped.
+        record: `node.json` of a stored one; None: it is shipped or packed.
     """
 
     id: str
@@ -48,12 +50,12 @@ class Catalogue:
 
     Args:
         store: Folder of the runs; it need not exist.
-        packed: Further folders that `flows.pack_policy` has made, by the names they are offered as.
+        packed: Folder of folders that `flows.pack_policy` has made, or one of them.
     """
 
-    def __init__(self, store: Path, packed: Mapping[str, Path] | None = None) -> None:
+    def __init__(self, store: Path, packed: Path | None = None) -> None:
         self._store = ArtifactStore(store, create=False)
-        self._shipped = {name: SHIPPED / name for name in shipped_names()} | dict(packed or {})
+        self._packed = packed
         self._opened: dict[str, Operable] = {}
         self._lock = Lock()
 
@@ -61,8 +63,11 @@ class Catalogue:
         """All policies by id, shipped ones first; damaged runs are left out."""
         found = {
             name: Offer(name, _TITLES.get(name, _short(name)), folder)
-            for name, folder in self._shipped.items()
+            for name, folder in packed_folders(SHIPPED).items()
         }
+        if self._packed is not None:
+            for name, folder in packed_folders(self._packed).items():
+                found[_PACKED + name] = Offer(_PACKED + name, f"{_short(name)} (packed)", folder)
         stored = [
             Offer(key, _short(record["name"]), self._store.path(key) / "policy", record)
             for key, record in self._records()

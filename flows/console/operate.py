@@ -9,6 +9,7 @@ from typing import Any, Final
 from nicegui import run, ui
 from nicegui.events import ValueChangeEventArguments
 
+from components.operating.caution import Caution
 from components.operating.session import Driver
 from flows.console.bench import MOST, Bench
 from flows.console.catalogue import Catalogue, NotOfferedError
@@ -34,9 +35,13 @@ class Operate:
         catalogue: What can be chosen.
         windows: All windows.
         sessions: Folder below which recordings are saved.
+        caution: Of the autopilot.
     """
 
-    def __init__(self, catalogue: Catalogue, windows: Windows, sessions: Path) -> None:
+    def __init__(
+        self, catalogue: Catalogue, windows: Windows, sessions: Path, caution: Caution
+    ) -> None:
+        self._caution = caution
         self._catalogue, self._windows, self._sessions = catalogue, windows, sessions
         self._bench: Bench | None = None
         self._filming: Any = None
@@ -134,7 +139,7 @@ class Operate:
             operable = await run.io_bound(self._catalogue.open, event.value)
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
-            bench = Bench(operable, event.value)
+            bench = Bench(operable, event.value, caution=self._caution)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -195,7 +200,7 @@ class Operate:
             self._slider.value = round(session.proximity, 2)
             self._turn_map()
             if bench.pilot is not None:
-                self._say(bench.pilot.said)
+                self._say(f"{bench.pilot.said} {bench.pilot.promise}")
         if self._filming is not None:
             self._filming.look()
         self._show_numbers(bench)
@@ -290,7 +295,7 @@ class Operate:
         self._say(
             f"Saved: {place}. Replay it with python -m flows.console replay={place}, or import it "
             f"with python -m flows.import_log {place}/session.csv name=session "
-            f"schema={place}/session.yaml"
+            f"schema={place}/session.yaml short=drop"
         )
 
     def _download(self) -> None:

@@ -13,6 +13,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse, Response
 from nicegui import ui
 
+from components.operating.caution import USUAL, Caution
 from flows.configuration.checking import SettingsError
 from flows.console.catalogue import Catalogue
 from flows.console.operate import Operate
@@ -85,20 +86,28 @@ def bound(port: int | None) -> socket.socket:
     raise AssertionError("port 0 is always free")
 
 
-def serve(own: socket.socket, store: Path, ready: Callable[[str], object]) -> None:
+def serve(
+    own: socket.socket,
+    store: Path,
+    ready: Callable[[str], object],
+    packed: Path | None = None,
+    caution: Caution = USUAL,
+) -> None:
     """Serve until Ctrl-C.
 
     Args:
         own: Where to listen.
         store: Folder of the runs.
         ready: Called with the address when it answers.
+        packed: Folder of packed policies.
+        caution: Of the autopilot.
     """
-    catalogue, windows = Catalogue(store), Windows()
+    catalogue, windows = Catalogue(store, packed), Windows()
     app = FastAPI(openapi_url=None)
 
     @ui.page("/", title="Operator's console")
     async def operate(policy: str = "") -> None:
-        await Operate(catalogue, windows, store / "sessions").show(policy)
+        await Operate(catalogue, windows, store / "sessions", caution).show(policy)
 
     @ui.page("/sweep", title="Sweeps")
     async def sweep(name: str = "") -> None:

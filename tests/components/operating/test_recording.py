@@ -1,6 +1,7 @@
 """Recordings: what is in them, that they are logs, and that they replay to the byte."""
 
 import csv
+import dataclasses
 import io
 import json
 from pathlib import Path
@@ -55,6 +56,27 @@ def test_a_recording_holds_what_happened() -> None:
     schema = json.loads(recording.schema)
     assert schema["actions"]["action gain"] == [-1.0, 1.0]
     assert schema["outcome_row"] == "same"
+
+
+def test_names_of_an_own_log_may_be_those_of_the_tables_columns(tmp_path: Path) -> None:
+    """Two columns of one name could be neither replayed nor imported."""
+    operable = recorded()
+    names = ("step", "driver", "lambda", "log step", "action pump", "strangeness")
+    policy = constant_policy([0.1, 0.0, 0.0], names, history=1)
+    actions = ("pump", "episode", "reward")
+    card = dataclasses.replace(operable.card, frame_features=names, action_features=actions)
+    own = dataclasses.replace(operable, policy=policy, card=card, familiar=None)
+    recording, steps = record(own)
+    head, first = (recording.table.splitlines()[n].split(",") for n in (0, 1))
+    assert len(set(head)) == len(head)
+    schema = json.loads(recording.schema)
+    assert schema["features"][0] == "log driver"  # nothing changed the setpoint, here "step"
+    assert list(schema["actions"]) == ["log action pump", "action episode", "action reward"]
+    row = dict(zip(head, first, strict=True))
+    seen = [float(row[name]) for name in schema["features"]]
+    assert seen == steps[0].frames[0, 1:].tolist()
+    recording.save(tmp_path / "saved")
+    assert replay(tmp_path / "saved", own) == 40
 
 
 @pytest.mark.parametrize(("old", "new"), [("0.4", "0.5"), ("operator", "behaviour")])

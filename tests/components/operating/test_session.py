@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from components.operating.caution import Caution
 from components.operating.flying import Flying
 from components.operating.operable import SHIPPED, Operable
 from components.operating.session import Session
@@ -110,6 +111,25 @@ def test_the_autopilot_measures_the_familiar_first_and_goes_no_farther_than_is_s
         session.step()
     found = session.step().proximity
     assert 0 <= found <= 1
+
+
+def test_caution_decides_how_far_the_autopilot_goes_and_what_it_promises() -> None:
+    """On noiseless returns a slope of 40 times the return lets it go a tenth as far as one of 4."""
+    card = dataclasses.replace(TURBINE, return_steps=1, steps=1, first_window_return_mean=-10.0)
+    ahead = []
+    for slope in (4.0, 40.0):
+        pilot = Flying(card, Caution(margin=0.1, slope=slope))
+        for _ in range(8):
+            assert pilot.propose() == 0.0
+            pilot.tell(-10.0)
+        ahead.append(pilot.propose())
+    assert ahead[0] == pytest.approx(0.025)  # margin / slope
+    assert ahead[1] == 0.0  # shorter than the resolution of 0.01
+    assert "more than 1 below the behaviour's" in pilot.promise
+    assert "falls by at most 4e+02 per unit of λ" in pilot.promise
+    for wrong in ({"margin": 0.0}, {"slope": float("nan")}):
+        with pytest.raises(ValueError, match="must be a positive number"):
+            Caution(**wrong)
 
 
 @pytest.mark.parametrize("value", [-0.01, 1.01, float("nan"), float("inf")])

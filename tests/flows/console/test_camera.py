@@ -15,7 +15,7 @@ from tests.components.operating.machines import LOG
 from tests.components.synthetic import constant_policy
 
 
-def hopper() -> Bench:
+def still_hopper() -> Operable:
     """A hopper that does nothing."""
     card = dataclasses.replace(
         LOG.card,
@@ -25,7 +25,12 @@ def hopper() -> Bench:
         action_features=HOPPER.action_features,
     )
     policy = constant_policy([0.0, 0.0, 0.0], HOPPER.frame_features, history=1)
-    return Bench(Operable(policy, policy, card), "hopper")
+    return Operable(policy, policy, card)
+
+
+def hopper() -> Bench:
+    """A window of it."""
+    return Bench(still_hopper(), "hopper")
 
 
 def filmed(bench: Bench) -> tuple[list[str], list[str]]:

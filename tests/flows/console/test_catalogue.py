@@ -43,6 +43,29 @@ def test_stored_policies_are_offered_by_their_keys(catalogue: Catalogue) -> None
     assert Session(own).step().frames.shape == (2, 6)
 
 
+def test_packed_folders_are_offered_beside_the_shipped_ones(
+    tmp_path: Path, catalogue: Catalogue
+) -> None:
+    packed = tmp_path / "packed"
+    for name in ("turbine", "furnace"):
+        catalogue.open(OWN if name == "furnace" else "world").save(packed / name)
+    (packed / "notes").mkdir()
+    catalogue.open("world").save(tmp_path / "secret")
+    beside = Catalogue(tmp_path / "runs", packed)
+    assert list(beside.offers())[:4] == ["turbine", "world", "packed/furnace", "packed/turbine"]
+    assert beside.offers()["packed/furnace"].title == "furnace (packed)"
+    assert beside.open("turbine").card.name == "mediocre-0.2"  # its name is not taken from it
+    assert beside.open("packed/turbine").card.name == "world"
+    for asked in ("packed/../secret", "furnace", "packed/notes", "packed/", "packed/furnace/"):
+        with pytest.raises(NotOfferedError):
+            beside.open(asked)
+    [alone] = [id for id in Catalogue(tmp_path / "runs", packed / "furnace").offers() if "/" in id]
+    assert alone == "packed/furnace"
+    (packed / "furnace" / "policy.json").write_text("{")
+    with pytest.raises(ValueError, match=r"furnace \(packed\) cannot be used"):
+        beside.open("packed/furnace")
+
+
 @pytest.mark.parametrize(
     "asked",
     [

@@ -1,6 +1,7 @@
 """The console's door: what it refuses, and replays."""
 
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from flows.console.bench import Bench
 from flows.console.catalogue import Catalogue
 from flows.console.server import bound
 from flows.door import run_door
+from tests.conftest import ROOT
 
 
 def door(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -28,6 +30,10 @@ def door(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         (["port=0"], "port='0': Input should be greater than or equal to 1."),
         (["console.port=70000"], "port='70000': Input should be less than or equal to 65535."),
         (["port=1", "console.port=2"], "port is given twice; give it once."),
+        (["margin=0"], "margin='0': Input should be greater than 0."),
+        (["slope=nan"], "slope='nan': Input should be"),
+        (["policies=conf"], "policies=conf holds no packed policy; give a folder that python -m"),
+        (["policies=/nowhere/at/all"], "holds no packed policy"),
         (["8085"], "'8085' is not an override; write key=value"),
     ],
 )
@@ -87,6 +93,50 @@ def test_a_saved_session_is_replayed(
     assert "is of a policy that store=" in capsys.readouterr().err
     assert door(monkeypatch, f"replay={tmp_path / 'nothing'}") == 1
     assert "There is no recording in" in capsys.readouterr().err
+
+
+def test_a_session_of_a_packed_policy_is_replayed_from_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Catalogue(tmp_path).open("world").save(tmp_path / "packed" / "furnace")
+    offered = Catalogue(tmp_path, tmp_path / "packed").open("packed/furnace")
+    bench = Bench(offered, "packed/furnace")
+    bench.step()
+    saved = bench.save(tmp_path / "sessions")
+    words = (f"replay={saved}", f"store={tmp_path}")
+    assert door(monkeypatch, *words, f"policies={tmp_path / 'packed'}") == 0
+    assert "1 steps replayed" in capsys.readouterr().out
+    assert door(monkeypatch, *words) == 2
+    assert "with policies= the folder" in capsys.readouterr().err
+
+
+_FIRST_PAGE = """
+import sys, threading, urllib.request
+from pathlib import Path
+from flows.console.__main__ import load_console_settings
+from flows.console.server import bound, serve
+import os
+
+def look(address):
+    def ask():
+        said = urllib.request.urlopen(address).read().decode()
+        print("λ" in said or "familiar" in said, sorted({"mlflow", "ray"} & set(sys.modules)))
+        sys.stdout.flush()
+        os._exit(0)
+    threading.Thread(target=ask).start()
+
+settings = load_console_settings(sys.argv[1:])
+from flows.console.catalogue import Catalogue
+Catalogue(settings.store).open("turbine")
+serve(bound(None), settings.store, look)
+"""
+
+
+def test_the_first_page_needs_neither_mlflow_nor_ray(tmp_path: Path) -> None:
+    """Both take seconds to import, which is what waiting for the first turn of the dial is."""
+    words = [sys.executable, "-W", "ignore", "-c", _FIRST_PAGE, f"store={tmp_path}"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "True []", done.stderr
 
 
 @pytest.mark.parametrize("sent", [None, "0.5", [0.5], {}, float("nan"), 2.0, -1, "x" * 10_000])

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser import Visit, visited
 from tests.conftest import ROOT
 from tests.flows.console.stores import HOSTILE, HTML, OWN, add_sweep, hostile_store
+from tests.flows.console.test_camera import still_hopper
 from tests.flows.pipeline.toys import wait_for
 
 pytestmark = pytest.mark.slow(10)
@@ -30,15 +32,25 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made.root
 
 
+@contextmanager
+def served(*words: str, **environment: str) -> Iterator[str]:
+    """The address of a console."""
+    command = [sys.executable, "-W", "ignore", "-m", "flows.console", *words]
+    own = os.environ | environment
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=own) as server:
+        assert server.stdout is not None
+        try:
+            said = server.stdout.readline()
+            assert said.startswith("Open http://127.0.0.1:"), said
+            yield said.split()[1].rstrip("/")
+        finally:
+            server.terminate()
+
+
 @pytest.fixture(scope="module")
 def address(store: Path) -> Iterator[str]:
-    words = [sys.executable, "-W", "ignore", "-m", "flows.console", f"store={store}"]
-    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        said = server.stdout.readline()
-        assert said.startswith("Open http://127.0.0.1:"), said
-        yield said.split()[1].rstrip("/")
-        server.terminate()
+    with served(f"store={store}") as own:
+        yield own
 
 
 @contextmanager
@@ -236,3 +248,21 @@ def test_a_sweep_is_watched_and_its_cells_opened(address: str) -> None:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
     status, text = get(address, "/document?name=report%20small")
     assert (status, text) == (200, "<title>the report</title>")
+
+
+@pytest.mark.parametrize("library", ["", "glfw"])
+def test_a_packed_robot_is_filmed_or_the_page_says_that_nothing_can_draw(
+    library: str, tmp_path: Path
+) -> None:
+    still_hopper().save(tmp_path / "packed" / "hopper")
+    words = (f"store={tmp_path}", f"policies={tmp_path / 'packed'}")
+    with served(*words, MUJOCO_GL=library) as own, operating(own, "packed/hopper") as visit:
+        picture = visit.page.locator(".scene .camera")
+        if library:
+            expect(visit.page.locator(".said")).to_contain_text("robot is not drawn", timeout=LONG)
+            expect(picture).to_be_hidden()
+        else:
+            expect(picture).to_be_visible(timeout=LONG)
+            wait_for(lambda: picture.evaluate("i => i.naturalWidth") == 320, "a whole picture")
+            first = picture.get_attribute("src")
+            wait_for(lambda: picture.get_attribute("src") != first, "the robot to move")
