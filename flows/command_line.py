@@ -242,6 +242,7 @@ def run_sweep(
                 command=command,
                 repairs=repairs,
                 driver=driver,
+                found=found,
             )
             driver.status = outcome.status
             if outcome.may_take_time:

@@ -17,6 +17,7 @@ from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan, model_choice, sweep_name
 from flows.planning.cells import cells_line
+from flows.report.current import current_report
 from flows.report.leaderboard import Leaderboard
 
 HELP = f"""\
@@ -65,17 +66,15 @@ def _run(settings: Settings) -> int:
     board = Leaderboard(plan, ArtifactStore(settings.store, create=False))
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
-        from flows.report.report import write_report  # figures are slow to import
-
         seeds = len(settings.seeds)
         about = f"profile {settings.profile_name}, {seeds} {'seed' if seeds == 1 else 'seeds'}"
-        written = write_report(folder, plan, ArtifactStore(settings.store), about)
-        for line in written.lines(window_width()):
+        shown = current_report(folder, plan, ArtifactStore(settings.store), about)
+        for line in shown.lines(window_width()):
             print(line)
-        if not written.table.empty:
+        if shown.table is not None:
             print(f"\nAll numbers and figures: {folder}/")
             print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
-        return written.files, written.headline
+        return shown.files, shown.headline
 
     about = cells_line(settings, plan)
     return run_sweep(settings, name, plan, report, about=about, board=board)

@@ -9,6 +9,7 @@ A JSON object that describes no folder may hold a digest of itself, too.
 
 import hashlib
 import json
+import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +32,7 @@ __all__ = [
     "manifest_digest",
     "read_record",
     "read_sealed_json",
+    "record_digest",
     "seal",
     "with_digest",
 ]
@@ -39,6 +41,8 @@ RECORD: Final = "node.json"
 REMEDY: Final = "give the command of its sweep again, which makes it anew"
 _FILES: Final = "files"
 _DIGEST: Final = "digest"
+_SETTLED: Final = 2_000_000_000  # nanoseconds after which a change has another time than the last
+_known: dict[Path, tuple[tuple[int, ...], dict[str, Any]]] = {}  # records that were sound
 
 
 def seal(folder: Path, values: Mapping[str, Any]) -> None:
@@ -55,13 +59,32 @@ def seal(folder: Path, values: Mapping[str, Any]) -> None:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """The record of a folder.
+    """The record of a folder, which is the caller's to read only.
+
+    It is read once per process, and again only if the size of its file, its time of change or its
+    place on the disk is another one.
 
     Raises:
         MissingFileError: There is none.
         DamagedFileError: It is no JSON object or not what was written.
     """
     path = folder / RECORD
+    try:
+        status = path.stat()
+    except OSError:
+        return _read_record(path)  # which says what is wrong
+    identity = (status.st_ino, status.st_size, status.st_mtime_ns)
+    place = path.absolute()
+    known = _known.get(place)
+    if known is not None and known[0] == identity:
+        return known[1]
+    record = _read_record(path)
+    if time.time_ns() - status.st_mtime_ns > _SETTLED:
+        _known[place] = (identity, record)
+    return record
+
+
+def _read_record(path: Path) -> dict[str, Any]:
     record = load_json(path, REMEDY)
     if not isinstance(record, dict):
         raise DamagedFileError(f"{path} is damaged (it is no JSON object)", path, REMEDY)
@@ -88,6 +111,11 @@ def manifest_digest(files: Mapping[str, Mapping[str, Any]]) -> str:
 def content_digest(record: Mapping[str, Any]) -> str | None:
     """A digest of all files that a record describes; None for a record of an older version."""
     return manifest_digest(record[_FILES]) if is_sealed(record) else None
+
+
+def record_digest(record: Mapping[str, Any]) -> str | None:
+    """The digest of a record and of all files it describes; None for one of an older version."""
+    return str(record[_DIGEST]) if is_sealed(record) else None
 
 
 def check_folder(

@@ -1,14 +1,14 @@
 """The overview as aligned text for a terminal, as Markdown and as LaTeX."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final
 
 from components.reporting.overview import Overview, Value, shown
+from components.reporting.text_table import TextTable
 
-__all__ = ["latex_overview", "markdown_overview", "text_overview"]
+__all__ = ["latex_overview", "markdown_overview", "text_overview", "text_table"]
 
-_GAP: Final = "  "
 _LINES: Final[dict[str, Callable[[Value], str]]] = {
     "  to logged": lambda c: _difference(c) + " " * bool(_difference(c)),
     "  at λ": lambda c: "" if c.proximity is None else f"{c.proximity:.2f} ",
@@ -19,35 +19,16 @@ _LINES: Final[dict[str, Callable[[Value], str]]] = {
 """What stands below the values of a dataset, where there is any."""
 
 
-def text_overview(table: Overview, width: int) -> str:
-    """Aligned text; what is wider than the window goes on below.
-
-    Args:
-        table: To show.
-        width: Of the window in characters.
-    """
+def text_table(table: Overview) -> TextTable:
+    """The words of an overview."""
     labels, rows = _lines(table)
     names = ["logged", *(f"{column.algorithm} " for column in table.columns)]
-    places = ["", *(f"{column.place} " for column in table.columns)]
-    wide = [max(map(len, cells)) for cells in zip(names, places, *rows, strict=True)]
-    first = max(map(len, ("dataset", *labels)))
-    blocks = []
-    for chosen in _blocks(first, wide, width):
+    return TextTable(names, ["", *(f"{column.place} " for column in table.columns)], labels, rows)
 
-        def line(label: str, cells: Sequence[str], chosen: Sequence[int] = chosen) -> str:
-            return label.ljust(first) + "".join(_GAP + cells[n].rjust(wide[n]) for n in chosen)
 
-        head = [line("dataset", names)]
-        if any(places[n].strip() for n in chosen):
-            head.append(line("", places))
-        body = [
-            line(label, row)
-            for label, row in zip(labels, rows, strict=True)
-            if not label.startswith(" ") or any(row[n].strip() for n in chosen)
-        ]
-        lines = [*head, "-" * len(head[0]), *body]
-        blocks.append("".join(text.rstrip() + "\n" for text in lines))
-    return "\n".join(blocks)
+def text_overview(table: Overview, width: int) -> str:
+    """Aligned text for a window of `width` characters, see `TextTable.text`."""
+    return text_table(table).text(width)
 
 
 def _lines(table: Overview) -> tuple[list[str], list[list[str]]]:
@@ -72,20 +53,6 @@ def _difference(cell: Value) -> str:
 
 def _value(cell: Value | None) -> str:
     return "" if cell is None else shown(cell.value) + ("*" if cell.best else " ")
-
-
-def _blocks(first: int, wide: Sequence[int], width: int) -> list[list[int]]:
-    """Numbers of the columns that stand beside each other; "logged" begins every block."""
-    blocks: list[list[int]] = []
-    taken = width  # so that the first column begins a block
-    for n in range(1, len(wide)):
-        needed = len(_GAP) + wide[n]
-        if taken + needed > width:
-            blocks.append([0])
-            taken = first + len(_GAP) + wide[0]
-        blocks[-1].append(n)
-        taken += needed
-    return blocks
 
 
 def markdown_overview(table: Overview) -> str:

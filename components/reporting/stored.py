@@ -43,9 +43,10 @@ class ReportNodes:
     aggregations: tuple[str, ...]
     datasets: Mapping[str, str]
 
-    def save(self, report: Path) -> None:
-        """Write them into a report's folder."""
+    def save(self, report: Path) -> Path:
+        """Write them into a report's folder; returns the file."""
         write_json(report / _NODES, dict([_VERSION]) | with_digest(asdict(self)))
+        return report / _NODES
 
     @classmethod
     def load(cls, report: Path) -> "ReportNodes":

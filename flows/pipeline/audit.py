@@ -29,7 +29,7 @@ class Audit:
         finished: Keys of nodes that can be reused.
         unusable: Why a node that is there has to be made again, a sentence by key.
         stale: Which of these are sound, but made from another input than there is now.
-        places: Inode of the folder of every unusable node, which names it for good.
+        places: Inode of the folder of every node that is there, which names it for good.
         unsealed: How many of the finished ones carry no digests, coming from an older version.
     """
 
@@ -52,6 +52,10 @@ class Audit:
                 "leaves it as it is: give the command with runner.repair=recompute to have it made "
                 "again."
             )
+
+    def holds(self, store: ArtifactStore, plan: Plan) -> bool:
+        """Whether the same folders are there as then: none has come, gone or been replaced."""
+        return all(store.place(node.key) == self.places.get(node.key) for node in plan)
 
     def lines(self) -> list[str]:
         """A sentence about everything that has to be made again."""

@@ -40,6 +40,7 @@ def run_plan(
     command: str = "the same command",
     repairs: bool = True,
     driver: Driver | None = None,
+    found: Audit | None = None,
 ) -> Outcome:
     """Computes everything in the plan that is not finished yet.
 
@@ -52,6 +53,7 @@ def run_plan(
         command: How to continue after an interrupt, for the message.
         repairs: Whether what is damaged on the disk is made again, with all that depends on it.
         driver: Tells others how the run goes, and knows when it is to stop.
+        found: What the plan has found in the store, if somebody has looked a moment ago.
 
     Returns:
         How every node ended. Nothing is raised for failed nodes.
@@ -60,7 +62,7 @@ def run_plan(
         PipelineError: the sweep could not start at all; StoreError if something is damaged and
             `repairs` is False.
     """
-    return _Run(plan, store, tracker, display, executor, command, repairs, driver).run()
+    return _Run(plan, store, tracker, display, executor, command, repairs, driver, found).run()
 
 
 @dataclass
@@ -78,6 +80,7 @@ class _Run:
     command: str
     repairs: bool
     driver: Driver | None
+    found: Audit | None
 
     def __post_init__(self) -> None:
         self.stop = Stop(self.store, self.driver, self.display.note)
@@ -94,7 +97,9 @@ class _Run:
     def run(self) -> Outcome:
         for sentence in self.store.repair():
             self.display.note(sentence)
-        found = audit(self.plan, self.store)
+        found = self.found
+        if found is None or not found.holds(self.store, self.plan):
+            found = audit(self.plan, self.store)
         if self.repairs:
             self._set_aside(found)
         else:

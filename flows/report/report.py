@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.overview import Overview, overview
-from components.reporting.overview_text import markdown_overview, text_overview
+from components.reporting.overview_text import markdown_overview, text_table
 from components.reporting.stored import ReportNodes
 from components.reporting.tables import (
     ended_notes,
@@ -31,6 +31,7 @@ from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
 from flows.report.returns import cell_returns, with_intervals
 from flows.report.selection import NOTHING_JUDGED, Selection, write_selection
+from flows.report.shown import Shown
 from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
@@ -57,6 +58,7 @@ class Report:
         graphs: Sentences about trainings that have lost their CUDA graphs.
         comparison: Sentences about what cannot be compared with the thesis.
         selection: Policies that were judged from their log.
+        nodes: The file with the keys of the nodes behind it.
     """
 
     files: Sequence[Path]
@@ -69,6 +71,7 @@ class Report:
     graphs: Sequence[str] = ()
     comparison: Sequence[str] = ()
     selection: Selection = NOTHING_JUDGED
+    nodes: Path | None = None
 
     @property
     def notes(self) -> list[str]:
@@ -108,16 +111,18 @@ class Report:
                 shown[f"over_proximity/{cell}"] = curve
         return shown
 
-    def lines(self, width: int) -> list[str]:
-        """What to print: the overview, if it has rows, and notes on it.
-
-        Args:
-            width: Of the window in characters.
-        """
-        table = []
+    @property
+    def shown(self) -> Shown:
+        """What to print and to record: the overview, if it has rows, and notes on it."""
+        table, signs = None, []
         if not self.table.empty:
-            table = [*text_overview(self.overview, width).splitlines(), "", *self.overview.notes()]
-        return [*table, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
+            table, signs = text_table(self.overview), ["", *self.overview.notes()]
+        below = [*signs, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
+        return Shown(self.files, table, below, self.headline)
+
+    def lines(self, width: int) -> list[str]:
+        """What to print in a window of `width` characters."""
+        return self.shown.lines(width)
 
     def markdown(self) -> str:
         """The overview, what its signs mean, and the long form, as Markdown, if there are rows."""
@@ -170,10 +175,10 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
     said = "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
     text = report.markdown() + judged + said
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
-    ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
+    nodes = ReportNodes(tuple(node.key for node in aggregations), datasets).save(folder)
     write_text(folder / "results.csv", results_csv(table))
     write_text(folder / "results.md", text)
-    return report
+    return replace(report, nodes=nodes)
 
 
 def _summary(cell: Node, store: ArtifactStore) -> dict[str, Any]:

@@ -2,13 +2,14 @@
 
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
 from flows.pipeline.plan import Node
 from flows.pipeline.tracking.board import Entry, Row, View
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
+from flows.pipeline.tracking.mlflow_finished import FinishedRuns
 from flows.pipeline.tracking.mlflow_leftovers import delete_row
 from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
 from flows.pipeline.tracking.mlflow_writes import DIGEST_LENGTH, log_batches, log_datasets
@@ -24,24 +25,25 @@ class MlflowBoard:
         experiment: The leaderboard's own; its runs have no parents, so MLflow lists them all.
     """
 
-    def __init__(self, ledger: MlflowExperiment, source: str) -> None:
+    def __init__(self, ledger: MlflowExperiment, source: str, sweep: str) -> None:
         """Opens the experiment, or makes it, and looks up its rows.
 
         Args:
             ledger: The experiment with the runs of nodes, in the same MLflow.
             source: What runs, for the column "source" of the UI.
+            sweep: Name of the sweep that lists rows.
 
         Raises:
             TrackingError: MLflow cannot be used.
         """
         self.experiment = MlflowExperiment(ledger.root, source, LEADERBOARD)
-        self._ledger = ledger
-        with self.experiment.as_tracking_errors():
-            rows = list(self.experiment.search("tags.role = 'row'"))
+        self._ledger, self._sweep = ledger, sweep
         # Id and tags of the run by what the row is about.
-        self._rows: dict[str, tuple[str, dict[str, str]]] = {
-            run.data.tags.get("about", ""): (run.info.run_id, dict(run.data.tags)) for run in rows
-        }
+        self._rows: dict[str, tuple[str, dict[str, str]]] = {}
+        found = FinishedRuns(self.experiment, ("content", f"sweep.{sweep}"), "row", "about")
+        with self.experiment.writing():
+            for about, run_id, tags in found.all():
+                self._rows.setdefault(about, (run_id, dict(tags)))
 
     def prepare(self, views: Sequence[View]) -> None:
         """Saves views of the leaderboard, see `MlflowExperiment.prepare`."""
@@ -59,19 +61,18 @@ class MlflowBoard:
         address = f"{page}&searchFilter={rows}&orderByKey={order}&orderByAsc=true"
         return f"[Its results in the leaderboard]({address})"
 
-    def log(self, entry: Entry, sweep: str, runs: Mapping[str, str]) -> None:
+    def log(self, entry: Entry, runs: Callable[[str], str | None]) -> None:
         """Writes a row; one that is there is marked as this sweep's, too.
 
         Args:
             entry: The row.
-            sweep: Name of the sweep.
-            runs: Ids of the runs of nodes by their keys.
+            runs: Says the id of the run of a node by its key.
 
         Raises:
             TrackingError: MLflow cannot be used.
             DamagedFileError: a file that the row is read from is damaged.
         """
-        mark = {f"sweep.{sweep}": "listed"}
+        mark = {f"sweep.{self._sweep}": "listed"}
         run_id, known = self._rows.get(entry.about, ("", {}))
         if known.get("content") == entry.content:
             if not mark.keys() <= known.keys():
@@ -85,10 +86,10 @@ class MlflowBoard:
             same = f"tags.about = '{entry.about}' and tags.role = 'row'"
             for old in list(self.experiment.search(same)):
                 delete_row(self.experiment, old)
-            tags = mark | {"about": entry.about, "content": entry.content, "sweep": sweep}
+            tags = mark | {"about": entry.about, "content": entry.content, "sweep": self._sweep}
             self._rows[entry.about] = (self._write(row, tags, runs), tags)
 
-    def _write(self, row: Row, tags: Mapping[str, str], runs: Mapping[str, str]) -> str:
+    def _write(self, row: Row, tags: Mapping[str, str], runs: Callable[[str], str | None]) -> str:
         client, now = self.experiment.client, int(1000 * time.time())
         tags = self.experiment.common | dict(row.tags) | dict(tags)
         tags |= {"role": "row", "mlflow.note.content": row.note}
@@ -116,27 +117,30 @@ class MlflowBoard:
         client.set_terminated(run_id, "FINISHED")
         return run_id
 
-    def _list_model(self, row: Row, tags: Mapping[str, str], runs: Mapping[str, str]) -> str:
+    def _list_model(
+        self, row: Row, tags: Mapping[str, str], runs: Callable[[str], str | None]
+    ) -> str:
         """Lists what is judged among MLflow's models; its files stay with the run that made it."""
         key = row.nodes[row.model].key
         model = self.experiment.client.create_logged_model(
             self.experiment.id,
             name=re.sub(r"[/:.%\"']", "_", row.name),
-            source_run_id=runs.get(key),
+            source_run_id=runs(key),
             tags={"key": key, "about": tags["about"], "files": f"nodes/{key}"},
             params=dict(row.params),
             model_type=row.model,
         )
         return str(model.model_id)
 
-    def _links(self, nodes: Mapping[str, Node], runs: Mapping[str, str]) -> str:
+    def _links(self, nodes: Mapping[str, Node], runs: Callable[[str], str | None]) -> str:
         """Lines that lead to the runs of the nodes behind a row, and to their files."""
         lines = []
         for role, node in nodes.items():
-            page = f"#/experiments/{self._ledger.id}/runs/{runs.get(node.key)}"
+            run_id = runs(node.key)
+            page = f"#/experiments/{self._ledger.id}/runs/{run_id}"
             of = "?workflowType=machine_learning"
             link = f"[{node.name}]({page}{of}), [files]({page}/artifacts{of})"
-            known = link if node.key in runs else node.name
+            known = node.name if run_id is None else link
             lines.append(f"- {role}: {known}")
         return "\n".join(lines) + "\n\n"
 

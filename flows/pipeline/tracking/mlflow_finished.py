@@ -1,4 +1,4 @@
-"""Which nodes have a finished run in MLflow, in stores of ten thousand runs.
+"""Which nodes and rows have a finished run in MLflow, in stores of ten thousand runs.
 
 MLflow's search makes whole runs, with all their metrics, parameters and tags: of ten thousand, many
 seconds and hundreds of megabytes, and even for a single key it goes through all of them. So our own
@@ -13,22 +13,26 @@ from typing import Any
 __all__ = ["FinishedRuns"]
 
 _WAIT = 20.0  # seconds for another program that writes
-_NODES = "attributes.status = 'FINISHED' and tags.role = 'node'"
 
 Found = tuple[str, str, Mapping[str, str]]
-"""Key of a node, id of its run, and the tags that were asked for."""
+"""Key of a node or of what a row is about, id of its run, and the tags that were asked for."""
 
 
 class FinishedRuns:
-    """The finished runs of nodes, by whoever has written them."""
+    """The finished runs of one role, by whoever has written them."""
 
-    def __init__(self, experiment: Any, tags: Sequence[str]) -> None:
+    def __init__(
+        self, experiment: Any, tags: Sequence[str], role: str = "node", key: str = "key"
+    ) -> None:
         """Asks nothing yet.
 
         Args:
             experiment: The MlflowExperiment.
             tags: Names of the tags to return.
+            role: Of the runs.
+            key: Name of the tag that says which one it is.
         """
+        self._role, self._key = role, key
         self._experiment, self._tags = experiment, tuple(tags)
         self._last = 0  # number of the newest row of our own database that was looked at
 
@@ -38,7 +42,7 @@ class FinishedRuns:
             self._last = 0
             yield from self._rows()
         else:
-            yield from self._search(_NODES)
+            yield from self._search("")
 
     def new(self, key: str) -> Iterator[Found]:
         """Those of a node, perhaps with others, that were not there at the last look.
@@ -49,13 +53,14 @@ class FinishedRuns:
         if self._experiment.address.own:
             yield from self._rows()
         else:
-            yield from self._search(f"{_NODES} and tags.key = '{key}'")
+            yield from self._search(f" and tags.{self._key} = '{key}'")
 
-    def _search(self, text: str) -> Iterator[Found]:
-        for run in self._experiment.search(text):
+    def _search(self, which: str) -> Iterator[Found]:
+        ours = f"attributes.status = 'FINISHED' and tags.role = '{self._role}'"
+        for run in self._experiment.search(ours + which):
             tags = run.data.tags
             kept = {name: tags[name] for name in self._tags if name in tags}
-            yield tags.get("key", ""), run.info.run_id, kept
+            yield tags.get(self._key, ""), run.info.run_id, kept
 
     def _rows(self) -> list[Found]:
         joined = "".join(
@@ -66,15 +71,15 @@ class FinishedRuns:
         # CROSS keeps the order of the joins: runs first, of which few are new.
         query = (
             f"SELECT k.value, r.run_uuid{values} FROM runs r"
-            " CROSS JOIN tags k ON k.run_uuid = r.run_uuid AND k.key = 'key'"
-            " CROSS JOIN tags o ON o.run_uuid = r.run_uuid AND o.key = 'role' AND o.value = 'node'"
+            " CROSS JOIN tags k ON k.run_uuid = r.run_uuid AND k.key = ?"
+            " CROSS JOIN tags o ON o.run_uuid = r.run_uuid AND o.key = 'role' AND o.value = ?"
             f"{joined} WHERE r.rowid > ? AND r.experiment_id = ? AND r.status = 'FINISHED'"
             " AND r.lifecycle_stage = 'active' ORDER BY r.start_time DESC"
         )
         experiment = self._experiment
         with closing(sqlite3.connect(experiment.address.database, timeout=_WAIT)) as connection:
             [(newest,)] = connection.execute("SELECT coalesce(max(rowid), 0) FROM runs").fetchall()
-            given = (*self._tags, self._last, int(experiment.id))
+            given = (self._key, self._role, *self._tags, self._last, int(experiment.id))
             rows = connection.execute(query, given).fetchall()
         self._last = newest
         return [

@@ -169,8 +169,7 @@ class MlflowTracker:
             TrackingError: MLflow cannot be used.
             DamagedFileError: a file that the row is read from is damaged.
         """
-        runs = {key: run_id for key, (run_id, _) in self._runs.items()}
-        self.board.log(entry, self.sweep.name, runs)
+        self.board.log(entry, lambda key: self._runs.get(key, (None,))[0])
 
     def prepare(self, views: Sequence[View]) -> None:
         """Saves views on the pages of the leaderboard and of the nodes' runs.
@@ -191,7 +190,7 @@ class MlflowTracker:
             TrackingError: MLflow cannot be used.
         """
         if self._board is None:
-            self._board = MlflowBoard(self.experiment, self._source)
+            self._board = MlflowBoard(self.experiment, self._source, self.sweep.name)
         return self._board
 
     @property

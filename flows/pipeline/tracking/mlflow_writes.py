@@ -100,6 +100,8 @@ def log_anew(client: Any, run_id: str, metrics: Metrics) -> None:
     for name, points in metrics.items():
         known: dict[int, float] = {}
         if name in run.data.metrics:
+            if len(points) == 1 and run.data.metrics[name] == points[0][1]:
+                continue  # what MLflow shows of it; its history takes a question of its own
             past = client.get_metric_history(run_id, name)
             known = {m.step: m.value for m in sorted(past, key=lambda m: m.timestamp)}
         new += [(name, float(v), now, step) for step, v in points if known.get(step) != v]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from components.core import integrity
+from components.core import integrity, sealed
 from components.core.files import write_json
 from components.core.integrity import (
     SMALL,
@@ -156,6 +156,35 @@ def test_large_files_are_hashed_once_per_process(
     check_folder(folder, large=False)
     with pytest.raises(DamagedFileError):
         check_folder(folder)
+
+
+def test_a_record_is_read_again_when_its_file_is_another_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = folder / RECORD
+    read, reader = [], sealed.load_json
+
+    def counted(path: Path, remedy: str) -> object:
+        read.append(path)
+        return reader(path, remedy)
+
+    monkeypatch.setattr(sealed, "load_json", counted)
+    old = path.stat().st_mtime_ns - 10**10
+    first = read_record(folder)
+    read_record(folder)
+    assert len(read) == 2  # a change right after the last one could have the same time
+    os.utime(path, ns=(old, old))
+    assert read_record(folder) == read_record(folder) == first
+    assert len(read) == 3
+    flip(path, 40)
+    with pytest.raises(DamagedFileError):
+        read_record(folder)
+    os.utime(path, ns=(old + 1, old + 1))
+    with pytest.raises(DamagedFileError):
+        read_record(folder)
+    path.unlink()
+    with pytest.raises(MissingFileError):
+        read_record(folder)
 
 
 def test_the_error_keeps_its_file_between_processes() -> None:

@@ -1,6 +1,7 @@
 """The serial runner: results, reuse, failures that stay alone, continuation from checkpoints."""
 
 import io
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,8 @@ from rich.console import Console
 
 from components.core.files import read_json, write_json
 from components.core.sealed import seal
+from flows.pipeline import runner
+from flows.pipeline.audit import audit
 from flows.pipeline.driver import Driver
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
@@ -342,3 +345,32 @@ def test_sigterm_ends_a_run_as_an_interrupt_does(store: ArtifactStore, log: Path
     assert not outcome.may_take_time
     assert outcome.finished == [first.key]
     assert "Continue with: make it so" in screen.text
+
+
+@pytest.mark.parametrize("meanwhile", ["nothing", "gone", "come", "replaced"])
+def test_a_store_is_looked_at_again_only_if_its_artifacts_are_others(
+    store: ArtifactStore, log: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
+) -> None:
+    last = fast_diamond(log)
+    plan = Plan([last])
+    run([last], store)
+    folder = store.path(last.key)
+    if meanwhile == "come":
+        folder.rename(store.root / "aside")
+    found = audit(plan, store)
+    if meanwhile == "come":
+        (store.root / "aside").rename(folder)
+    elif meanwhile == "gone":
+        shutil.rmtree(folder)
+    elif meanwhile == "replaced":  # by one that is damaged
+        shutil.copytree(folder, store.root / "copy")
+        (store.root / "copy" / "value.json").unlink()
+        folder.rename(store.root / "aside")
+        (store.root / "copy").rename(folder)
+    looked = []
+    monkeypatch.setattr(runner, "audit", lambda *given: looked.append(1) or audit(*given))
+    outcome = run_plan(plan, store, NullTracker(), Screen(), executor=SerialExecutor(), found=found)
+    assert bool(looked) == (meanwhile != "nothing")
+    assert (outcome.status, len(outcome.reused) + len(outcome.finished)) == ("FINISHED", 9)
+    assert outcome.finished == ([last.key] if meanwhile in ("gone", "replaced") else [])
+    assert value(store, last) == 2 * 20 * (1 + 2 + 3)
