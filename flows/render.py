@@ -11,7 +11,7 @@ from pydantic import Field
 
 from components.data.card import DatasetCard
 from components.environments.rendering import DRAWABLE, film, pictures_per_second
-from components.operating.operable import SHIPPED, Operable, newest, shipped_names
+from components.operating.operable import SHIPPED, Operable, newest, packed_folders
 from components.operating.session import Session
 from components.policies.policy import Policy, PolicyCard
 from flows.command_line import run_door
@@ -127,8 +127,9 @@ def _check_proximity(card: PolicyCard, settings: RenderSettings) -> None:
 
 
 def _run(settings: RenderSettings) -> int:
-    if settings.run in shipped_names():
-        return _film_session(settings, Operable.load(SHIPPED / settings.run), settings.run)
+    shipped = packed_folders(SHIPPED).get(settings.run)
+    if shipped is not None:
+        return _film_session(settings, Operable.load(shipped), settings.run)
     bring(settings.store)
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
