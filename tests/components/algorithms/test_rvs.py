@@ -71,7 +71,7 @@ def test_after_a_fall_nothing_is_earned_and_a_time_out_is_no_fall() -> None:
     terminated = np.zeros(log.transitions, dtype=np.bool_)
     terminated[[24, 55]] = True  # of the first episode and of the short one
     log = relabelled(log, terminated=terminated, truncated=log.truncated & ~terminated)
-    rows, returns = rvs._achieved(log, rvs.Config(window=WINDOW, discount=DISCOUNT))
+    rows, returns = rvs.achieved_returns(log, rvs.Config(window=WINDOW, discount=DISCOUNT))
     assert rows.tolist() == [*range(25), *range(25, 41), *range(50, 56), 56]
     ends = np.repeat(log.episode_starts[1:], np.diff(log.episode_starts))
     for row, found in zip(rows, returns, strict=True):

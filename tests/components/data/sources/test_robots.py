@@ -14,6 +14,7 @@ from components.data.dataset import OfflineDataset
 from components.data.sources import robots
 from components.data.sources.robot_collection import Exploration, collect_episodes
 from components.data.sources.robots import RobotSpec
+from components.environments.mujoco import robots as mujoco_robots
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import HOPPER, ROBOTS, SWIMMER, WALKER2D, Robot
 from tests.components.data.sources.toy_robot import FEATURES, LIMIT, ToyRobot, toy_expert
@@ -30,7 +31,7 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shown = {"frame_features": FEATURES, "action_features": ToyRobot.action_features}
     hopper = dataclasses.replace(HOPPER, health=None, **shown)
     monkeypatch.setattr(robots, "ROBOTS", ROBOTS | {"hopper": hopper})
-    monkeypatch.setattr(robots, "Robots", lambda robot, copies, *_: ToyRobot(copies))
+    monkeypatch.setattr(mujoco_robots, "Robots", lambda robot, copies, *_: ToyRobot(copies))
     return tmp_path / "hopper"
 
 
@@ -239,7 +240,7 @@ def test_an_expert_of_another_robot_is_refused(toy: Path, monkeypatch: pytest.Mo
     class Other(ToyRobot):
         frame_features = ("place", "speed", "angle")
 
-    monkeypatch.setattr(robots, "Robots", lambda robot, copies, *_: Other(copies))
+    monkeypatch.setattr(mujoco_robots, "Robots", lambda robot, copies, *_: Other(copies))
     with pytest.raises(ValueError, match="does not know the frames of proximity/Hopper-v0"):
         SPEC.generate(0)
 
