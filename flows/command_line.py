@@ -187,7 +187,8 @@ def run_sweep(
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
-    display.console.print(f"Sweep [bold]{name}[/bold] in {escape(store_word(settings))}/")
+    place = escape(store_word(settings))  # unbroken, to be copied
+    display.console.print(f"Sweep [bold]{name}[/bold] in {place}/", soft_wrap=True)
     for sentence in filter(None, (about, limit.sentence)):
         display.note(sentence)
     repairs = settings.runner.repair == "recompute"

@@ -14,6 +14,7 @@ WORDS = [
     "algorithm.bc.updates=500", "algorithm.bcq.updates=2000", "algorithm.bcq.hidden=[64,64]",
     "algorithm.bcq.vae_hidden=[100]", "algorithm.wsbc.updates=20", "algorithm.wsbc.starts=20",
     "algorithm.wsbc.particles=30", "algorithm.wsbc.neighbourhood=5", "algorithm.wsbc.horizon=50",
+    "algorithm.wsbc.velocity_limit=1.0",
     "model.behaviour_policy.epochs=10", "model.recurrent_ensemble.updates=200",
     "model.recurrent_ensemble.members=2",
 ]  # fmt: skip

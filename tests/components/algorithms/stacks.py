@@ -53,7 +53,14 @@ SMALL: dict[str, dict[str, Any]] = {  # the others are small with PLAIN
     "lion": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
     "moose": {"hidden": (8,), "trajectories": 4, "horizon": 5, "learning_rate": 1e-2},
     "model_based": {"hidden": (8,), "trajectories": 6, "horizon": 5, "learning_rate": 1e-3},
-    "wsbc": {"box": 0.3, "particles": 9, "neighbourhood": 3, "starts": 6, "horizon": 5},
+    "wsbc": {
+        "box": 0.3,
+        "particles": 9,
+        "neighbourhood": 3,
+        "velocity_limit": 1.0,  # it finds something better in every few of so few iterations
+        "starts": 6,
+        "horizon": 5,
+    },
     "morel": {
         "hidden": (8,),
         "value_hidden": (8,),
