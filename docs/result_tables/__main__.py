@@ -1,0 +1,5 @@
+"""Write the pages."""
+
+from docs.result_tables.pages import main
+
+main()

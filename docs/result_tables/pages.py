@@ -1,0 +1,54 @@
+"""The pages that hold tables, and their tables by name."""
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from docs.result_tables import benchmark, judging, safety, settings
+from docs.result_tables.shared import ROOT
+
+PAGES: Final = (
+    ROOT / "README.md",
+    *(
+        ROOT / "docs" / f"{n}.md"
+        for n in ("results", "world", "judging", "studies", "autopilot", "caution")
+    ),
+)
+
+TABLES: Final[Mapping[str, Callable[[], str]]] = {
+    "front": benchmark.front,
+    "full": benchmark.full,
+    "beside": benchmark.beside,
+    "world": settings.world,
+    "pace": settings.pace,
+    "limits": settings.limits,
+    "judges": judging.judges,
+    "judged": judging.judged,
+    "blind": judging.blind,
+    "lion_over_lambda": lambda: settings.study("figure-6.5"),
+    "rvs_returns": lambda: settings.study("figure-6.8"),
+    "autopilot": safety.autopilot,
+    "autopilot_slopes": safety.autopilot_slopes,
+    "warnings": safety.warnings,
+    "caution": safety.caution,
+}
+
+
+def filled(text: str) -> str:
+    """A page with its tables made anew.
+
+    Raises:
+        KeyError: It asks for a table that is none of `TABLES`.
+    """
+
+    def table(found: re.Match[str]) -> str:
+        name = found[1]
+        return f"<!-- table {name} -->\n\n{TABLES[name]()}\n<!-- end of {name} -->"
+
+    return re.sub(r"<!-- table (\w+) -->.*?<!-- end of \1 -->", table, text, flags=re.DOTALL)
+
+
+def main() -> None:
+    """Write the pages."""
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

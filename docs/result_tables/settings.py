@@ -1,0 +1,78 @@
+"""Tables of what a dial or a setting does: λ, the return RvS asks for, WSBC's velocity limit."""
+
+from typing import Final
+
+import pandas as pd
+
+from components.algorithms.wsbc import Config as WSBCConfig
+from components.reporting.ranking import markdown
+from components.reporting.thesis_numbers import thesis_numbers
+from docs.result_tables.shared import DATA, logged, table_of
+from flows.studies.finished import decimals
+
+_HAPPENS: Final = 0.6
+"""The λ from which on policies of the 2-D world leave the log."""
+
+_PACE: Final = (5, 10, 20, 50, 100)
+"""Iterations of WSBC that are shown."""
+
+_CHOSEN_ON: Final = ("bad-0.4", "mediocre-0.2", "optimized-0.6")
+"""The datasets on which the limit was chosen."""
+
+
+def world() -> str:
+    """The 2-D world over λ; where little happens, one row in four."""
+    table = pd.read_csv(DATA / "world-2026-11.csv")
+    shown = table[(table["λ"] >= _HAPPENS) | ((table["λ"] * 5) % 1 < 1e-9)]
+    rows = ([f"{value:.2f}" for value in row] for row in shown.to_numpy())
+    return table_of(list(table.columns), rows)
+
+
+def study(name: str) -> str:
+    """The table of a study, as `python -m flows.study` prints it."""
+    table = pd.read_csv(DATA / "studies-2026-11" / f"{name}.csv")
+    return markdown(table, decimals(table))
+
+
+def pace() -> str:
+    """One row per dataset and velocity limit of WSBC: real and expected returns on the way."""
+    table = _velocities()
+    rows = []
+    for (dataset, limit), own in table.groupby(["dataset", "velocity_limit"], sort=False):
+        if dataset not in _CHOSEN_ON:
+            continue
+        own = own.set_index("iteration")
+        cells = [f"{own.mean_return[n]:.1f} ({own.expected_return[n]:.1f})" for n in _PACE]
+        rows.append([dataset, f"{limit:g}", *cells, f"{_pool(own):.1f}"])
+    return table_of(["dataset", "limit", *map(str, _PACE), "pool"], rows)
+
+
+def limits() -> str:
+    """One row per dataset: WSBC's pool at the former and at the chosen velocity limit."""
+    table, logs, thesis = _velocities(), logged(), thesis_numbers()
+    chosen = WSBCConfig().velocity_limit
+    measured_ones = table.set_index(["dataset", "velocity_limit"])
+    rows = []
+    for log, mean in logs.items():
+        cells = [
+            f"{_pool(measured_ones.loc[log, limit].set_index('iteration')):.1f}"
+            if (log, limit) in measured_ones.index
+            else ""
+            for limit in (1.0, chosen)
+        ]
+        if any(cells):
+            theirs, error = thesis[log, "wsbc"]
+            rows.append([log, f"{mean:.1f}", *cells, f"{theirs:.1f} ({error:g})"])
+    heads = ["dataset", "log, mean", "limit 1", f"limit {chosen:g}", "thesis, 10th percentile"]
+    return table_of(heads, rows)
+
+
+def _velocities() -> pd.DataFrame:
+    return pd.read_csv(DATA / "wsbc-velocity-2026-11.csv").sort_values(
+        ["dataset", "velocity_limit", "iteration"], ascending=[True, False, True]
+    )
+
+
+def _pool(own: pd.DataFrame) -> float:
+    """Mean return of the last tenth of a run's snapshots."""
+    return float(own["mean_return"].iloc[-max(1, len(own) // 10) :].mean())
