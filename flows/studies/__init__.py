@@ -11,11 +11,13 @@ from typing import Final
 
 from flows.studies import (
     autopilot,
+    caution,
     choices,
     collapse,
     dials,
     online,
     over_proximity,
+    pace,
     trade_offs,
     world,
 )
@@ -35,6 +37,8 @@ STUDIES: Final[Mapping[str, Study]] = MappingProxyType(
             choices.STUDY,
             autopilot.STUDY,
             dials.STUDY,
+            caution.STUDY,
+            pace.STUDY,
         )
     }
 )

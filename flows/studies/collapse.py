@@ -10,17 +10,15 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from components.core.arrays import load_arrays
 from components.reporting.panels import Line, Panel
-from flows.pipeline.plan import Node, Plan
+from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
-from flows.studies.finished import Cell, cells, levels, written
+from flows.studies.finished import cells, levels, promised, real_returns, written
 from flows.studies.study import Drawn, Study
 
 __all__ = ["STUDY"]
 
 _NAME: Final = "figure-2.4"
-_PROMISE: Final = "policy/virtual_return"
 
 _SAID: Final = """\
 `first`, `best` and `last` are the returns of the first, the best and the last of the stored
@@ -31,28 +29,15 @@ handed down, so these are those with 0 % and 20 %.
 """
 
 
-def _real(cell: Cell, store: ArtifactStore) -> tuple[np.ndarray, np.ndarray]:
-    """Updates ``[S]`` and mean returns ``[R, S]`` of the seeds' policies."""
-    stored = [load_arrays(store.path(node.key) / "returns.npz") for node in cell.seeds.values()]
-    return stored[0]["steps"], np.stack([s["returns"].mean(axis=(1, 2)) for s in stored])
-
-
-def _promised(policy: Node, store: ArtifactStore) -> tuple[np.ndarray, np.ndarray]:
-    """Updates and the mean return of the virtual trajectories."""
-    curves = load_arrays(store.path(policy.key) / "curves.npz")
-    return curves[f"{_PROMISE}/step"], curves[f"{_PROMISE}/value"]
-
-
 def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
     level = levels(plan, store)
     drawn, rows = [], []
     for cell in cells(plan, store):
-        steps, returns = _real(cell, store)
+        steps, returns = real_returns(cell, store)
+        returns = returns[:, :, 0]
         mean = returns.mean(axis=0)
         spread = returns.std(axis=0, ddof=1) if len(returns) > 1 else np.zeros_like(mean)
-        promises = [_promised(node.inputs["policy"], store) for node in cell.seeds.values()]
-        when = promises[0][0]
-        promise = np.mean([values for _, values in promises], axis=0)
+        when, promise = promised(cell, store)
         lines = [
             Line("in the real system", steps, mean, spread),
             Line("promised by the ensemble", when, promise),

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from components.core.arrays import load_arrays
 from components.core.files import write_text
 from components.data.card import DatasetCard
 from components.data.dataset import OfflineDataset
@@ -22,10 +23,21 @@ from flows.pipeline.store import ArtifactStore
 from flows.report.comparison import comparable_behaviour
 from flows.studies.study import Drawn
 
-__all__ = ["Cell", "cells", "decimals", "levels", "opened", "panels", "written"]
+__all__ = [
+    "Cell",
+    "cells",
+    "decimals",
+    "levels",
+    "opened",
+    "panels",
+    "promised",
+    "real_returns",
+    "written",
+]
 
 Array = NDArray[np.float64]
 
+_PROMISE: Final = "policy/virtual_return"
 
 _DECIMALS: Final = {
     **dict.fromkeys(("drops", "tried"), 0),
@@ -130,6 +142,20 @@ def levels(plan: Plan, store: ArtifactStore) -> dict[str, float]:
         level = comparable_behaviour(card, nodes.get("aggregation", []))
         found[card.name] = math.nan if level is None else level
     return found
+
+
+def real_returns(cell: Cell, store: ArtifactStore) -> tuple[Array, Array]:
+    """Updates ``[S]`` and mean returns ``[R, S, K]`` of the seeds' snapshots, at K proximities."""
+    stored = [load_arrays(store.path(node.key) / "returns.npz") for node in cell.seeds.values()]
+    return stored[0]["steps"], np.stack([s["returns"].mean(axis=2) for s in stored])
+
+
+def promised(cell: Cell, store: ArtifactStore) -> tuple[Array, Array]:
+    """Updates ``[T]`` and what the ensemble promised in their course, mean over the seeds."""
+    policies = [node.inputs["policy"] for node in cell.seeds.values()]
+    curves = [load_arrays(store.path(policy.key) / "curves.npz") for policy in policies]
+    values = [curve[f"{_PROMISE}/value"] for curve in curves]
+    return curves[0][f"{_PROMISE}/step"], np.mean(values, axis=0)
 
 
 def panels(lines: Mapping[str, Sequence[Line]], level: Mapping[str, float]) -> list[Panel]:

@@ -27,6 +27,8 @@ RUNS = {
     "figure-6.10": ["datasets=[bad-0.4]", "variants.lion.beta=[0.1,1]"],
     "figure-6.11": ["datasets=[bad-0.4]"],
     "figure-6.12": ["datasets=[bad-0.4]"],
+    "caution": ["datasets=[bad-0.4]", "evaluation.proximity_step=1"],
+    "pace": ["datasets=[bad-0.4]"],
     "table-6.1": ["datasets=[bad-0.4]", "mopo_penalties=[0,2.5]"],
 }
 COMMON = ["profile=smoke", "runner.executor=serial", "runner.tracker=none", "seeds=[0]"]
@@ -65,7 +67,7 @@ def test_a_study_runs_and_given_again_only_draws(
     text = (report / f"{name}.md").read_text(encoding="utf-8")
     assert "thesis" in text
     assert text in capsys.readouterr().out
-    figures = list(report.glob("*[0-9].png")) + list(report.glob("*-eta.png"))
+    figures = {*report.glob("*[0-9].png"), *report.glob("*-eta.png"), *report.glob(f"{name}.png")}
     assert figures
     for figure in figures:
         with Image.open(figure) as drawn:
