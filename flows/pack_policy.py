@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
 from components.operating.operable import is_packed
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy, open_operable
@@ -46,11 +45,7 @@ def load_pack_settings(words: Sequence[str]) -> PackSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, Any] = {}
-    for word in words:
-        key, value = split_word(word, lambda key: key == "overwrite")
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    fields = fields_of_words(words, on_off=["overwrite"])
     for name in ("run", "to"):
         if not fields.get(name):
             raise SettingsError(f"{name}= is missing; write run=ID to=FOLDER.")

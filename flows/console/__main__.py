@@ -7,7 +7,7 @@ from pydantic import Field
 
 from components.operating.caution import USUAL, Caution
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.door import run_door
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.signals import exit_code
@@ -50,12 +50,8 @@ def load_console_settings(words: Sequence[str]) -> ConsoleSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, str] = {}
-    for word in words:
-        key, value = split_word(word)
-        key = key.removeprefix("console.")
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    whole = {f"console.{name}": name for name in ConsoleSettings.model_fields}
+    fields = fields_of_words(words, other_names=whole)
     settings: ConsoleSettings = build_config(ConsoleSettings, "", fields)
     if settings.policies is not None and not _offers(settings.policies):
         raise SettingsError(

@@ -46,6 +46,8 @@ def test_a_packed_policy_is_operated_without_its_store(
     [
         (["to=x"], 2, "run= is missing; write run=ID to=FOLDER."),
         (["run=x"], 2, "to= is missing"),
+        (["run=x", "to=x", "to=x"], 2, "to is given twice; give it once."),
+        (["run=x", "to=x", "overwrite"], 2, "'overwrite' has no value; write overwrite=true."),
         ([f"run={LOG_KEY}", "to=x"], 2, "is not a policy but a run of data_generation"),
         ([f"run={BROKEN}", "to=x"], 1, "is not JSON"),
         (["run=nothing", "to=x"], 2, "holds no such finished run"),
