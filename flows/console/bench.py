@@ -89,10 +89,12 @@ class Bench:
             self.session.proximity = float(proximity)
 
     def restart(self) -> None:
-        """Forget the recording and begin again, from the first start."""
+        """Forget the recording and begin again, from the first start, as it is operated now."""
         session = self.session
         fresh = Bench(self._operable, self._policy, self._seed, self._caution)
         fresh.session.proximity, fresh.session.driver = session.proximity, session.driver
+        if session.plant.setpoint is not None:
+            fresh.session.plant.demand(session.plant.setpoint)
         self.session, self.recording, self.pilot = fresh.session, fresh.recording, fresh.pilot
         self.running = True
 

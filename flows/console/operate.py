@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -173,12 +174,17 @@ class Operate:
         loop = asyncio.get_running_loop()
 
         def show(address: str) -> None:
-            loop.call_soon_threadsafe(self._scene.picture, address)
+            loop.call_soon_threadsafe(self._if_operated, bench, self._scene.picture, address)
 
         def fail(sentence: str) -> None:
-            loop.call_soon_threadsafe(self._say, sentence)
+            loop.call_soon_threadsafe(self._if_operated, bench, self._say, sentence)
 
         return Filming(bench, show, fail)
+
+    def _if_operated(self, bench: Bench, tell: Callable[[str], None], what: str) -> None:
+        """Tell what a camera says unless its robot has left the page meanwhile."""
+        if self._bench is bench:
+            tell(what)
 
     def _close_camera(self) -> None:
         if self._filming is not None:
