@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -15,7 +14,7 @@ from components.policies.export import check_target, export_policy
 from components.policies.policy import Policy
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
@@ -59,11 +58,7 @@ def load_export_settings(words: Sequence[str]) -> ExportSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, Any] = {}
-    for word in words:
-        key, value = split_word(word, lambda key: key == "overwrite")
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    fields = fields_of_words(words, on_off=["overwrite"])
     for name in ("run", "to"):
         if not fields.get(name):
             raise SettingsError(f"{name}= is missing; write run=ID to=policy.onnx.")

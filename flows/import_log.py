@@ -24,8 +24,8 @@ from components.data.sources.minari_exchange import ForeignDatasetError, import_
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
-from flows.configuration.overrides import split_word
 from flows.configuration.plants import settings_of_log
+from flows.configuration.words import fields_of_words
 
 __all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
 
@@ -90,17 +90,10 @@ def load_import_settings(words: Sequence[str]) -> ImportSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, Any] = {}
-    paths: list[str] = []
-    for word in words:
-        if word in ("--describe", "--replace"):
-            word = f"{word[2:]}=true"
-        if "=" not in word and not word.startswith("-") and word not in _SWITCHES:
-            paths.append(word)
-            continue
-        key, value = split_word(word, lambda name: name in _SWITCHES)
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    paths = [w for w in words if "=" not in w and w[:1] != "-" and w not in _SWITCHES]
+    fields = fields_of_words(
+        [word for word in words if word not in paths], on_off=_SWITCHES, switches=_SWITCHES
+    )
     if not paths:
         raise SettingsError("no file is given; write e.g. log.csv name=furnace.")
     if "name" not in fields:

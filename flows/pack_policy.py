@@ -1,15 +1,14 @@
 """Put a stored policy into a folder for the console: ``python -m flows.pack_policy run=ID``."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
+from components.operating.operable import is_packed
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy, open_operable
@@ -26,11 +25,9 @@ familiar. A few hundred KB, no pickle.
   run=ID          id of the policy's run in MLflow, its key (the folder in mlruns/nodes) or its
                   name, e.g. lion/mediocre-0.2/seed0
   to=FOLDER       that does not exist yet, e.g. turbine
-  overwrite=true  replace a folder that an earlier call has made
+  overwrite=true  replace a folder that an earlier call has made, once the new one is complete
   store=mlruns    folder of the runs
 """
-
-_CARD = "policy.json"  # by which a folder of this door is known
 
 
 class PackSettings(StrictModel):
@@ -48,20 +45,20 @@ def load_pack_settings(words: Sequence[str]) -> PackSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, Any] = {}
-    for word in words:
-        key, value = split_word(word, lambda key: key == "overwrite")
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    fields = fields_of_words(words, on_off=["overwrite"])
     for name in ("run", "to"):
         if not fields.get(name):
             raise SettingsError(f"{name}= is missing; write run=ID to=FOLDER.")
     settings: PackSettings = build_config(PackSettings, "", fields)
-    if settings.to.exists() and not (settings.overwrite and (settings.to / _CARD).is_file()):
-        raise SettingsError(
-            f"to={settings.to} is there already; name another folder"
-            + ("." if settings.overwrite else ", or add overwrite=true.")
-        )
+    if settings.to.exists():
+        if not is_packed(settings.to):
+            raise SettingsError(
+                f"to={settings.to} is there and is no packed policy; name another folder."
+            )
+        if not settings.overwrite:
+            raise SettingsError(
+                f"to={settings.to} is there already; name another folder, or add overwrite=true."
+            )
     return settings
 
 
@@ -79,9 +76,7 @@ def pack(settings: PackSettings) -> int:
     store = ArtifactStore(settings.store, create=False)
     record = find_policy(store, settings.run)
     operable = open_operable(store, record)
-    if settings.to.exists():
-        shutil.rmtree(settings.to)
-    operable.save(settings.to)
+    operable.save(settings.to.resolve(), overwrite=settings.overwrite)  # not a link to it
     size = sum(path.stat().st_size for path in settings.to.rglob("*") if path.is_file())
     print(f"{settings.to}: {record['name']}, {size / 1000:.0f} KB.")
     return 0

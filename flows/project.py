@@ -6,18 +6,18 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
 from flows.command_line import check_store, run_door
-from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.checking import StrictModel, build_config
 from flows.configuration.files import CONF
-from flows.configuration.overrides import split_word
 from flows.configuration.settings import ALIASES, Settings, load_settings
 from flows.configuration.shown import settings_yaml
+from flows.configuration.words import fields_of_words
 from flows.pipeline.computer import processor
 from flows.pipeline.costs import Measurement
 from flows.pipeline.executors.processors import available_cpus, check_threads
@@ -75,15 +75,11 @@ def load_projection_settings(words: Sequence[str]) -> tuple[ProjectionSettings, 
     Raises:
         SettingsError: One sentence.
     """
-    own: dict[str, Any] = {}
-    others = []
-    for word in words:
-        key, _, value = word.partition("=")
-        if key not in ProjectionSettings.model_fields:
-            others.append(word)
-        elif own.setdefault(key, split_word(word)[1]) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
-    return build_config(ProjectionSettings, "", own), load_settings(others, ALIASES)
+    own = [w for w in words if w.partition("=")[0] in ProjectionSettings.model_fields]
+    others = [word for word in words if word not in own]
+    return build_config(ProjectionSettings, "", fields_of_words(own)), load_settings(
+        others, ALIASES
+    )
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ from components.operating.session import Session
 from components.policies.policy import Policy, PolicyCard
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.stored_policy import find_policy, open_operable
@@ -76,16 +75,11 @@ def load_render_settings(words: Sequence[str]) -> RenderSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, Any] = {}
-    for word in words:
-        key, value = split_word(word)
-        key = _OTHER_NAMES.get(key, key)
-        if key == "last_proximity":
-            raise SettingsError("last_proximity is written lambda=0..1.")
-        if key == "proximity" and isinstance(value, str) and _TO in value:
-            value, _, fields["last_proximity"] = value.partition(_TO)
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    fields = fields_of_words(words, other_names=_OTHER_NAMES)
+    if "last_proximity" in fields:
+        raise SettingsError("last_proximity is written lambda=0..1.")
+    if _TO in fields.get("proximity", ""):
+        fields["proximity"], _, fields["last_proximity"] = fields["proximity"].partition(_TO)
     for name in ("run", "out"):
         if name not in fields:
             raise SettingsError(f"{name}= is missing; write run=ID out=FILE, e.g. out=walker.mp4.")

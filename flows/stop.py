@@ -4,11 +4,12 @@ import time
 from collections.abc import Sequence
 
 from flows.configuration.checking import SettingsError, build_config
+from flows.configuration.words import fields_of_words
 from flows.door import run_door
 from flows.pipeline.driver import ask_to_stop, read_driver
 from flows.pipeline.remote.places import address_of
 from flows.pipeline.stopping import PATIENCE
-from flows.status.sweeps import SweepWords, chosen, fields_of, open_store
+from flows.status.sweeps import SweepWords, chosen, open_store
 
 __all__ = ["load_stop_words", "stop"]
 
@@ -30,7 +31,7 @@ def load_stop_words(words: Sequence[str]) -> SweepWords:
     Raises:
         SettingsError: One sentence.
     """
-    made: SweepWords = build_config(SweepWords, "", fields_of(words))
+    made: SweepWords = build_config(SweepWords, "", fields_of_words(words))
     return made
 
 

@@ -12,6 +12,7 @@ from rich.console import Console
 from components.core.sealed import read_record, seal
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
+from flows.configuration.words import fields_of_words
 from flows.pipeline.leftovers import store_alone
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
@@ -55,16 +56,9 @@ def load_verify_settings(words: Sequence[str]) -> VerifySettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, str] = {}
-    for word in words:
-        key, equals, value = word.removeprefix("--").partition("=")
-        if not equals and word not in ("--prune", "--seal"):
-            raise SettingsError(f"{word!r} is not a setting; write key=value, e.g. prune=true.")
-        if key == "store" and not value:
-            raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
-        if key in fields:
-            raise SettingsError(f"{key} is given twice; give it once.")
-        fields[key] = value if equals else "true"
+    fields = fields_of_words(words, switches=["prune", "seal"])
+    if fields.get("store") == "":
+        raise SettingsError("store= is empty; name a folder, e.g. store=mlruns.")
     settings: VerifySettings = build_config(VerifySettings, "", fields)
     store = settings.store.expanduser()
     bring(store)

@@ -1,18 +1,15 @@
 """The autopilot on a policy: a safe search for the proximity, in any system."""
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 from components.data.returns import RETURN_STEPS, window_returns
 from components.evaluation.autopilot import Autopilot, AutopilotConfig, Found, fly
+from components.evaluation.guarantee import USUAL
 from proximity_bench.operating import trajectory
 from proximity_bench.policies import Policy
 
 __all__ = ["autopilot"]
-
-_MARGIN: Final = 0.1
-_SLOPE: Final = 4.0
-"""In sizes of the log's mean return, see docs/autopilot.md."""
 
 
 def autopilot(
@@ -55,8 +52,8 @@ def autopilot(
                 "margin and slope, in units of return."
             )
         size = abs(policy.log.all_windows_return_mean)
-        margin = _MARGIN * size if margin is None else margin
-        slope = _SLOPE * size if slope is None else slope
+        margin = USUAL.margin * size if margin is None else margin
+        slope = USUAL.slope * size if slope is None else slope
     try:
         config = AutopilotConfig(budget=budget, margin=margin, slope=slope, **settings)
     except TypeError as error:

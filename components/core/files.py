@@ -21,6 +21,7 @@ from typing import Any
 __all__ = [
     "read_json",
     "replacing",
+    "replacing_folder",
     "sync",
     "temporary_name",
     "without_undefined",
@@ -96,6 +97,31 @@ def replacing(path: Path, *, durable: bool = False) -> Iterator[Path]:
             raise IsADirectoryError(errno.EISDIR, said, str(path)) from None
         if durable:
             sync(path.parent, below=False)
+
+
+@contextmanager
+def replacing_folder(path: Path) -> Iterator[Path]:
+    """Provide a temporary name; the folder made there replaces ``path``, whatever that holds.
+
+    The former folder stays until the new one is complete, and comes back if the new one cannot take
+    its name.
+
+    Args:
+        path: The final name of the folder, which need not exist.
+
+    Raises:
+        OSError: ``path`` cannot be replaced.
+    """
+    with temporary_name(path) as former, temporary_name(path) as temporary:
+        yield temporary
+        if path.exists():
+            os.replace(path, former)
+        try:
+            os.replace(temporary, path)
+        except BaseException:
+            if former.exists():
+                os.replace(former, path)
+            raise
 
 
 def write_text(path: Path, text: str, *, durable: bool = False) -> None:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from components.evaluation.autopilot import Autopilot, AutopilotConfig, fly
 from components.evaluation.curves import first_drop
+from components.evaluation.guarantee import USUAL
 
 __all__ = ["STRATEGIES", "Flight", "Flights", "MeasuredSystem", "compare"]
 
@@ -22,9 +23,6 @@ Array = npt.NDArray[np.float64]
 STRATEGIES: Final = ("autopilot", "first drop", "first drop of 10")
 """The search of :mod:`.autopilot`, and that of thesis 6.6.1 with one trajectory at each point of
 the grid, and with ten, which is how the thesis evaluates."""
-
-_MARGIN: Final = 0.1  # of the size of the clone's return
-_SLOPE: Final = 4.0  # of the same, per unit of proximity: a fifth of it in a step of 0.05
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class Flights:
     def share_below(self, strategy: str) -> float:
         """Of the flights that went below the clone's return by more than the margin."""
         found = self.flights[strategy]
-        return float(np.mean([flight.worst < -_MARGIN * abs(self.clone) for flight in found]))
+        return float(np.mean([flight.worst < -USUAL.margin * abs(self.clone) for flight in found]))
 
 
 def compare(
@@ -98,7 +96,7 @@ def compare(
     rng: np.random.Generator,
     *,
     budget: int = 50,
-    slope: float = _SLOPE,
+    slope: float = USUAL.slope,
     repeats: int = 5,
     strategies: Sequence[str] = STRATEGIES,
 ) -> Flights:
@@ -114,7 +112,7 @@ def compare(
     """
     clone = system.mean(0.0)
     size = abs(clone)
-    config = AutopilotConfig(budget=budget, margin=_MARGIN * size, slope=slope * size)
+    config = AutopilotConfig(budget=budget, margin=USUAL.margin * size, slope=slope * size)
     make: Mapping[str, Callable[[], Flight]] = {
         "autopilot": lambda: _autopilot(system, config, rng),
         "first drop": lambda: _first_drop(system, 1, rng),

@@ -22,10 +22,11 @@ from torch import Tensor
 from components.core.random_streams import lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
+from components.data.pairs import spread_rows
 from components.judging.config import JudgeConfig
 from components.judging.fitted_q import policy_values
 from components.judging.judged import JudgedPolicies
-from components.judging.rollouts import VirtualWorld, spread_rows
+from components.judging.rollouts import VirtualWorld
 from components.judging.support import Support
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.policies.policy import Policy

@@ -15,6 +15,7 @@ from components.core.random_streams import lane_key
 from components.data.batches import LaneData
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
+from components.data.pairs import spread_rows
 from components.data.starts import start_rows
 from components.judging.config import JudgeConfig
 from components.judging.judged import JudgedPolicies
@@ -22,7 +23,7 @@ from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
 
-__all__ = ["VirtualValues", "VirtualWorld", "spread_rows"]
+__all__ = ["VirtualValues", "VirtualWorld"]
 
 
 @dataclass(frozen=True)
@@ -139,15 +140,6 @@ class VirtualWorld:
         places = spread_rows(np.arange(steps * trajectories), self._config.visited)
         step = places // trajectories
         return {int(t): torch.from_numpy(places[step == t] % trajectories) for t in np.unique(step)}
-
-
-def spread_rows(rows: np.ndarray, count: int) -> np.ndarray:
-    """At most ``count`` of the rows, evenly spaced, the first and the last included."""
-    if len(rows) <= count:
-        return rows
-    places = np.linspace(0, len(rows) - 1, count).round().astype(np.int64)
-    chosen: np.ndarray = rows[places]
-    return chosen
 
 
 def _variance(values: Tensor) -> Tensor:

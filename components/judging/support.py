@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from components.data.dataset import OfflineDataset
 from components.data.neighbourhood import Neighbourhood
-from components.data.splits import split_episodes
-from components.judging.rollouts import spread_rows
+from components.data.pairs import split_pairs
 
 __all__ = ["Support"]
 
@@ -34,19 +33,10 @@ class Support:
         neighbours: int,
         quantile: float,
     ) -> None:
-        boundary = split_episodes(dataset).trained_transitions(dataset)
-        rows = np.arange(dataset.transitions)
-        near = _pairs(dataset, spread_rows(rows[:boundary], neighbours))
-        held_out = _pairs(dataset, spread_rows(rows[boundary:], neighbours))
+        near, held_out = (part.astype(np.float64) for part in split_pairs(dataset, neighbours))
         self._near = Neighbourhood.around(near, (held_out, familiar), quantile)
 
     def outside(self, pairs: NDArray[np.float32]) -> NDArray[np.float64]:
         """Share of frames with actions ``[..., V, F + A]`` that lie outside, ``[...]``."""
         share: NDArray[np.float64] = self._near.outside(pairs).mean(axis=-1)
         return share
-
-
-def _pairs(dataset: OfflineDataset, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Frames with the actions taken there, ``[n, F + A]``."""
-    frames = dataset.frames[dataset.frame_rows()[rows]]
-    return np.concatenate([frames, dataset.actions[rows]], axis=1).astype(np.float64)

@@ -8,7 +8,7 @@ from typing import Final
 
 from components.data.card import DatasetCard
 from components.evaluation.autopilot import Autopilot, AutopilotConfig
-from components.operating.caution import USUAL, Caution
+from components.evaluation.guarantee import USUAL, Guarantee
 
 __all__ = ["Flying"]
 
@@ -20,15 +20,15 @@ class Flying:
 
     Args:
         card: Of the log: discount, length of a trajectory, and the return of the behaviour.
-        caution: How careful it is.
+        guarantee: How careful it is.
     """
 
-    def __init__(self, card: DatasetCard, caution: Caution = USUAL) -> None:
+    def __init__(self, card: DatasetCard, guarantee: Guarantee = USUAL) -> None:
         self._discount, self._steps = card.discount, min(card.return_steps, card.steps)
         size = max(abs(card.first_window_return_mean), 1e-6)
         self._search = Autopilot(
             AutopilotConfig(
-                budget=_BUDGET, margin=caution.margin * size, slope=caution.slope * size
+                budget=_BUDGET, margin=guarantee.margin * size, slope=guarantee.slope * size
             )
         )
         self._taken, self._return = 0, 0.0

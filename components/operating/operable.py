@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import torch
 
-from components.core.files import replacing, write_text
+from components.core.files import replacing, replacing_folder, write_text
 from components.core.tensors import load_tensors, save_tensors
 from components.data.card import DatasetCard
 from components.data.dataset import OfflineDataset
@@ -21,7 +21,7 @@ from components.data.neighbourhood import Neighbourhood
 from components.data.splits import split_episodes
 from components.policies.policy import Policy
 
-__all__ = ["SHIPPED", "Operable", "familiar_frames", "newest", "packed_folders"]
+__all__ = ["SHIPPED", "Operable", "familiar_frames", "is_packed", "newest", "packed_folders"]
 
 SHIPPED: Final = Path(__file__).parent / "shipped"
 """Below it lies one folder per shipped policy."""
@@ -29,6 +29,8 @@ SHIPPED: Final = Path(__file__).parent / "shipped"
 _BEHAVIOUR: Final = "behaviour"
 _CARD: Final = "log.json"
 _FAMILIAR: Final = "familiar.safetensors"
+_POLICY: Final = ("policy.json", "weights.safetensors")  # what a policy writes into its folder
+_OPTIONAL: Final = (_FAMILIAR, _BEHAVIOUR, *(f"{_BEHAVIOUR}/{name}" for name in _POLICY))
 _NEIGHBOURS: Final = 2000  # frames that others are compared to
 _QUANTILE: Final = 0.995  # of the log's held-out frames that counts as familiar
 
@@ -61,9 +63,17 @@ class Operable:
                 digest.update(tensor.numpy().tobytes())
         return digest.hexdigest()
 
-    def save(self, folder: Path) -> None:
-        """Store all but the log in a folder, which appears complete or not at all."""
-        with replacing(folder) as made:
+    def save(self, folder: Path, *, overwrite: bool = False) -> None:
+        """Store all but the log in a folder, which appears complete or not at all.
+
+        Args:
+            folder: Its name.
+            overwrite: Whether it may replace another one, which is there until then.
+
+        Raises:
+            OSError: It is there and holds something, or it cannot be written.
+        """
+        with (replacing_folder if overwrite else replacing)(folder) as made:
             made.mkdir(parents=True)
             self.policy.save(made)
             if self.behaviour is not None:
@@ -97,8 +107,15 @@ class Operable:
 
 def packed_folders(parent: Path) -> dict[str, Path]:
     """Folders of packed policies in a folder, or the folder itself if it is one, by name."""
-    found = sorted(parent.glob(f"*/{_CARD}"))
+    # Hidden are those that are being written.
+    found = sorted(p for p in parent.glob(f"*/{_CARD}") if not p.parent.name.startswith("."))
     return {path.parent.name: path.parent for path in found or parent.resolve().glob(_CARD)}
+
+
+def is_packed(folder: Path) -> bool:
+    """Whether a folder holds a packed policy, and nothing else that might be missed."""
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+    return {*_POLICY, _CARD} <= found <= {*_POLICY, _CARD, *_OPTIONAL}
 
 
 def newest(policy: Policy) -> Policy:

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from flows.configuration.checking import SettingsError, hint
 from flows.configuration.field_types import is_optional, is_switch, is_text, is_text_list
 from flows.configuration.renamed import RENAMED, rename_old_keys
+from flows.configuration.words import split_word
 
 __all__ = [
     "ALIASES",
@@ -22,7 +23,6 @@ __all__ = [
     "check_keys",
     "parse_overrides",
     "split_overrides",
-    "split_word",
 ]
 
 RUNNER_ALIASES: Mapping[str, str] = {
@@ -39,28 +39,6 @@ ALIASES: Mapping[str, str] = {
 
 KindOf = Callable[[str], Any]
 """The type of a setting, by its full key; None where nothing is known of it."""
-
-
-def split_word(word: str, is_on_off: Callable[[str], bool] = lambda key: False) -> tuple[str, str]:
-    """Key and value of a word of a command line.
-
-    Args:
-        word: ``key=value``.
-        is_on_off: Tells of a key whether it is true or false.
-
-    Raises:
-        SettingsError: It is no such word; says how to write it.
-    """
-    key, equals, value = word.partition("=")
-    if key.startswith("-"):
-        name = key.lstrip("-").replace("-", "_")
-        remedy = f"{name}={value or ('true' if is_on_off(name) else 'VALUE')}"
-        raise SettingsError(f"{word!r}: settings are written without dashes; write {remedy}.")
-    if key and not equals and is_on_off(key):
-        raise SettingsError(f"{word!r} has no value; write {key}=true.")
-    if not equals or not key or key[0] in "+~":
-        raise SettingsError(f"{word!r} is not an override; write key=value, e.g. seeds=[0,1].")
-    return key, value
 
 
 def split_overrides(

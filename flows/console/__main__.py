@@ -5,16 +5,16 @@ from pathlib import Path
 
 from pydantic import Field
 
-from components.operating.caution import USUAL, Caution
+from components.evaluation.guarantee import USUAL, Guarantee
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.door import run_door
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.signals import exit_code
 
 __all__ = ["ConsoleSettings", "load_console_settings", "run"]
 
-HELP = """\
+HELP = f"""\
 usage: python -m flows.console [KEY=VALUE ...]
 
 Open the operator's console: choose a policy, turn its proximity with a slider while the machine
@@ -25,9 +25,9 @@ Ctrl-C.
   store=mlruns   folder of the runs, whose policies are offered and whose sweeps are shown; sessions
                  are saved below its sessions/
   policies=FOLDER  a folder that flows.pack_policy has made, or one of such folders: offered, too
-  margin=0.1     what the autopilot may lose, as a share of the logged return
-  slope=4        how much the return may fall per unit of lambda, in the same share: its guarantee
-                 holds if it falls no faster
+  margin={USUAL.margin:g}     what the autopilot may lose, as a share of the logged return
+  slope={USUAL.slope:g}        how much the return may fall per unit of lambda, in the same
+                 share: its guarantee holds if it falls no faster
   port=8085      of the server; a free one by default
   replay=FOLDER  instead: decide again as a saved session says, and compare every byte of it
 """
@@ -50,12 +50,8 @@ def load_console_settings(words: Sequence[str]) -> ConsoleSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, str] = {}
-    for word in words:
-        key, value = split_word(word)
-        key = key.removeprefix("console.")
-        if fields.setdefault(key, value) != value:
-            raise SettingsError(f"{key} is given twice; give it once.")
+    whole = {f"console.{name}": name for name in ConsoleSettings.model_fields}
+    fields = fields_of_words(words, other_names=whole)
     settings: ConsoleSettings = build_config(ConsoleSettings, "", fields)
     if settings.policies is not None and not _offers(settings.policies):
         raise SettingsError(
@@ -86,7 +82,7 @@ def run(settings: ConsoleSettings) -> int:
             settings.store,
             lambda at: print(f"Open {at} in a browser.", flush=True),
             settings.policies,
-            Caution(settings.margin, settings.slope),
+            Guarantee(settings.margin, settings.slope),
         )
     except KeyboardInterrupt:  # the usual end, after which there is nothing to continue
         return exit_code()

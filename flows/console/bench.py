@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from components.environments.systems import SYSTEMS, WORLD
 from components.environments.world.plane import CENTRE, SIDE
-from components.operating.caution import USUAL, Caution
+from components.evaluation.guarantee import USUAL, Guarantee
 from components.operating.flying import Flying
 from components.operating.operable import Operable
 from components.operating.recording import Recording
@@ -29,7 +29,7 @@ class Bench:
         operable: What is operated.
         policy: Id under which it was chosen.
         seed: Of starts and noise.
-        caution: Of the autopilot.
+        guarantee: Of the autopilot.
 
     Attributes:
         session: The session.
@@ -45,13 +45,13 @@ class Bench:
         operable: Operable,
         policy: str,
         seed: int = 0,
-        caution: Caution = USUAL,
+        guarantee: Guarantee = USUAL,
     ) -> None:
         self._operable, self._policy, self._seed = operable, policy, seed
-        self._caution = caution
+        self._guarantee = guarantee
         real = operable.card.environment in SYSTEMS
         self.pilot = (
-            Flying(operable.card, caution) if real else None
+            Flying(operable.card, guarantee) if real else None
         )  # nothing can be tried on a log
         self.session = Session(operable, seed, self.pilot)
         self.recording = Recording(operable, policy, seed)
@@ -89,10 +89,12 @@ class Bench:
             self.session.proximity = float(proximity)
 
     def restart(self) -> None:
-        """Forget the recording and begin again, from the first start."""
+        """Forget the recording and begin again, from the first start, as it is operated now."""
         session = self.session
-        fresh = Bench(self._operable, self._policy, self._seed, self._caution)
+        fresh = Bench(self._operable, self._policy, self._seed, self._guarantee)
         fresh.session.proximity, fresh.session.driver = session.proximity, session.driver
+        if session.plant.setpoint is not None:
+            fresh.session.plant.demand(session.plant.setpoint)
         self.session, self.recording, self.pilot = fresh.session, fresh.recording, fresh.pilot
         self.running = True
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 from nicegui import run, ui
 from nicegui.events import ValueChangeEventArguments
 
-from components.operating.caution import Caution
+from components.evaluation.guarantee import Guarantee
 from components.operating.session import Driver
 from flows.console.bench import MOST, Bench
 from flows.console.catalogue import Catalogue, NotOfferedError
@@ -35,13 +36,13 @@ class Operate:
         catalogue: What can be chosen.
         windows: All windows.
         sessions: Folder below which recordings are saved.
-        caution: Of the autopilot.
+        guarantee: Of the autopilot.
     """
 
     def __init__(
-        self, catalogue: Catalogue, windows: Windows, sessions: Path, caution: Caution
+        self, catalogue: Catalogue, windows: Windows, sessions: Path, guarantee: Guarantee
     ) -> None:
-        self._caution = caution
+        self._guarantee = guarantee
         self._catalogue, self._windows, self._sessions = catalogue, windows, sessions
         self._bench: Bench | None = None
         self._filming: Any = None
@@ -139,7 +140,7 @@ class Operate:
             operable = await run.io_bound(self._catalogue.open, event.value)
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
-            bench = Bench(operable, event.value, caution=self._caution)
+            bench = Bench(operable, event.value, guarantee=self._guarantee)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -173,12 +174,17 @@ class Operate:
         loop = asyncio.get_running_loop()
 
         def show(address: str) -> None:
-            loop.call_soon_threadsafe(self._scene.picture, address)
+            loop.call_soon_threadsafe(self._if_operated, bench, self._scene.picture, address)
 
         def fail(sentence: str) -> None:
-            loop.call_soon_threadsafe(self._say, sentence)
+            loop.call_soon_threadsafe(self._if_operated, bench, self._say, sentence)
 
         return Filming(bench, show, fail)
+
+    def _if_operated(self, bench: Bench, tell: Callable[[str], None], what: str) -> None:
+        """Tell what a camera says unless its robot has left the page meanwhile."""
+        if self._bench is bench:
+            tell(what)
 
     def _close_camera(self) -> None:
         if self._filming is not None:

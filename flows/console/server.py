@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse, Response
 from nicegui import ui
 
-from components.operating.caution import USUAL, Caution
+from components.evaluation.guarantee import USUAL, Guarantee
 from flows.configuration.checking import SettingsError
 from flows.console.catalogue import Catalogue
 from flows.console.operate import Operate
@@ -91,7 +91,7 @@ def serve(
     store: Path,
     ready: Callable[[str], object],
     packed: Path | None = None,
-    caution: Caution = USUAL,
+    guarantee: Guarantee = USUAL,
 ) -> None:
     """Serve until Ctrl-C.
 
@@ -100,14 +100,14 @@ def serve(
         store: Folder of the runs.
         ready: Called with the address when it answers.
         packed: Folder of packed policies.
-        caution: Of the autopilot.
+        guarantee: Of the autopilot.
     """
     catalogue, windows = Catalogue(store, packed), Windows()
     app = FastAPI(openapi_url=None)
 
     @ui.page("/", title="Operator's console")
     async def operate(policy: str = "") -> None:
-        await Operate(catalogue, windows, store / "sessions", caution).show(policy)
+        await Operate(catalogue, windows, store / "sessions", guarantee).show(policy)
 
     @ui.page("/sweep", title="Sweeps")
     async def sweep(name: str = "") -> None:

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator
 
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
-from flows.configuration.overrides import split_word
+from flows.configuration.words import fields_of_words
 from flows.pipeline.remote.bringing import bring
 from flows.pipeline.remote.places import address_of
 from flows.pipeline.store import ArtifactStore
@@ -58,12 +58,7 @@ def load_report_settings(words: Sequence[str]) -> ReportSettings:
     Raises:
         SettingsError: One sentence.
     """
-    fields: dict[str, str] = {}
-    for word in words:
-        key, value = split_word(word, lambda name: name == "figures")
-        if key in fields:
-            raise SettingsError(f"{key} is given twice; give it once.")
-        fields[key] = value
+    fields = fields_of_words(words, on_off=["figures"])
     settings: ReportSettings = build_config(ReportSettings, "", fields)
     if address_of(settings.store) is None and not (settings.store / "nodes").is_dir():
         raise SettingsError(

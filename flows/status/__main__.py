@@ -12,12 +12,13 @@ from rich.text import Text
 
 from components.core.files import without_undefined
 from flows.configuration.checking import SettingsError, build_config
+from flows.configuration.words import fields_of_words
 from flows.door import run_door
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep
 from flows.status.shown import as_values, lines
 from flows.status.sweep_state import SweepState, read_state
-from flows.status.sweeps import SweepWords, chosen, fields_of, listed, open_store
+from flows.status.sweeps import SweepWords, chosen, listed, open_store
 from flows.status.table import results, table_text
 
 __all__ = ["StatusWords", "load_status_words", "status"]
@@ -52,7 +53,7 @@ def load_status_words(words: Sequence[str]) -> StatusWords:
     Raises:
         SettingsError: One sentence.
     """
-    fields = fields_of(words, ("watch", "json"))
+    fields = fields_of_words(words, switches=["watch", "json"])
     if "json" in fields:  # pydantic has a method of this name
         fields["json_"] = fields.pop("json")
     made: StatusWords = build_config(StatusWords, "", fields)

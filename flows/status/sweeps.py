@@ -1,7 +1,6 @@
 """The sweeps of a store: which there are, and which one is meant."""
 
 import time
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
 from flows.status.sweep_state import Phase, phase_of
 
-__all__ = ["Listed", "SweepWords", "chosen", "fields_of", "listed", "open_store"]
+__all__ = ["Listed", "SweepWords", "chosen", "listed", "open_store"]
 
 _RUNNING = ("running", "stopping")
 
@@ -73,30 +72,6 @@ def chosen(store: ArtifactStore, name: str | None) -> SweepRecord | None:
         return read_sweep(paths[name or next(iter(paths))])
     running = [sweep.record for sweep in listed(store) if sweep.phase in _RUNNING]
     return running[0] if len(running) == 1 else None
-
-
-def fields_of(words: Sequence[str], switches: Collection[str] = ()) -> dict[str, str]:
-    """The values of a command line, by key.
-
-    Args:
-        words: Each is key=value, or a switch as ``--name``.
-        switches: Names of those.
-
-    Raises:
-        SettingsError: A word is neither, or a key is given twice.
-    """
-    fields: dict[str, str] = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not equals and key.startswith("--") and key[2:] in switches:
-            key, value = key[2:], "true"
-        elif not equals or not key or key.startswith("-"):
-            also = "".join(f", or --{name}" for name in switches)
-            raise SettingsError(f"{word!r} is not a setting; write key=value{also}.")
-        if key in fields:
-            raise SettingsError(f"{key} is given twice; give it once.")
-        fields[key] = value
-    return fields
 
 
 def open_store(words: SweepWords) -> ArtifactStore:

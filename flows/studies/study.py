@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flows.configuration.checking import SettingsError
-from flows.configuration.overrides import split_word
 from flows.configuration.settings import Settings
+from flows.configuration.words import split_word
 from flows.pipeline.plan import Plan
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import benchmark_plan

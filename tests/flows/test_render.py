@@ -198,6 +198,10 @@ def test_a_policy_is_found_by_its_run_in_mlflow(
         ),
         (["run=x", "out=a.gif", "steps"], "'steps' is not an override; write key=value"),
         (["run=x", "out=a.gif", "out=b.gif"], "out is given twice; give it once."),
+        (["run=x", "out=a.gif", "lambda=0..1", "lambda=0"], "lambda is given twice; give it once."),
+        (["run=x", "out=a.gif", "lambda=0..1", "lambda=0..0.5"], "lambda is given twice; give it"),
+        (["run=x", "out=a.gif", "lambda=0", "proximity=0..1"], "lambda is given twice; give it"),
+        (["run=x", "out=a.gif", "last_proximity=1"], "last_proximity is written lambda=0..1."),
         (["run=bc/hopper/seed9", "out=a.gif"], "holds no such finished run; give the id of a run"),
         (
             [f"run={DATA}", "out=a.gif"],

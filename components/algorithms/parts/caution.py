@@ -19,16 +19,17 @@ has left finds back.
 at a step, the mean over learned features.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from components.core.normaliser import Normaliser
 from components.data.batches import LaneData
-from components.data.dataset import OfflineDataset
-from components.data.splits import split_episodes
+from components.data.pairs import split_pairs
 from components.models.transition.model_environment import RolloutStep
 
 __all__ = ["MEASURES", "Caution", "check_caution"]
@@ -67,29 +68,30 @@ class Caution:
 
     def __init__(self, data: LaneData, scaling: Normaliser, measure: str = MEASURES[0]) -> None:
         self._measure, self._width = measure, data.frame_width
-        sides = [_logged(dataset) for dataset in data.datasets]
-        size = min(len(side[0]) for side in sides)
-        near = torch.stack([near[_spread(len(near), size)] for near, _ in sides]).to(data.device)
+        sides = [split_pairs(dataset, _NEIGHBOURS, _spread) for dataset in data.datasets]
+        near, counts = _stacked([near for near, _ in sides])
         scaling = scaling.to(data.device)
-        self._near = self._scaled(near, scaling)
-        deviation = self._near.std(dim=1, keepdim=True)
+        self._near = self._scaled(near.to(data.device), scaling)
+        own = zip(self._near, counts, strict=True)
+        deviation = torch.stack([lane[:count].std(dim=0, keepdim=True) for lane, count in own])
         # A feature that never changes says nothing, but another value of it is foreign.
         self._unit = torch.where(deviation > 0, deviation, 1.0)
         self._near = self._near / self._unit
         self._squares = self._near.square().sum(dim=2)[:, None]
         self.limit = torch.zeros(data.lanes, 1, device=data.device)
         if measure == "distance":
-            size = min(len(side[1]) for side in sides)
-            own = torch.stack([own[_spread(len(own), size)] for _, own in sides]).to(data.device)
-            self._widen(self._distance(self._scaled(own, scaling)))
+            held_out, counts = _stacked([held_out for _, held_out in sides])
+            apart = self._distance(self._scaled(held_out.to(data.device), scaling))
+            self._widen([lane[:count] for lane, count in zip(apart, counts, strict=True)])
 
     def _scaled(self, pairs: Tensor, scaling: Normaliser) -> Tensor:
         frames, actions = pairs.split([self._width, pairs.shape[2] - self._width], dim=2)
         mean, scale = scaling.mean[:, None], scaling.scale[:, None]
         return torch.cat([(frames - mean) / scale, actions], dim=2)
 
-    def _widen(self, familiar: Tensor) -> None:
-        found = torch.quantile(familiar, _QUANTILE, dim=1, keepdim=True)
+    def _widen(self, familiar: Iterable[Tensor]) -> None:
+        """Let nearly all of every lane's distances lie within."""
+        found = torch.stack([lane.quantile(_QUANTILE, dim=0, keepdim=True) for lane in familiar])
         self.limit = torch.maximum(self.limit, found)
 
     @torch.no_grad()
@@ -129,20 +131,25 @@ class Caution:
         return (pairs - found).square().sum(dim=2).clamp(min=1e-12).sqrt()
 
 
-def _logged(dataset: OfflineDataset) -> tuple[Tensor, Tensor]:
-    """Raw frames with actions ``[n, F + A]``: those to compare with, and held-out ones."""
-    boundary = split_episodes(dataset).trained_transitions(dataset)
-    rows = torch.from_numpy(dataset.frame_rows())
-    whole = [torch.arange(boundary), torch.arange(boundary, dataset.transitions)]
-    pairs = []
-    for part in whole:
-        part = part[_spread(len(part), _NEIGHBOURS)]
-        frames = torch.from_numpy(dataset.frames[rows[part].numpy()])
-        actions = torch.from_numpy(dataset.actions[part.numpy()])
-        pairs.append(torch.cat([frames, actions], dim=1).float())
-    return pairs[0], pairs[1]
+def _stacked(lanes: Sequence[NDArray[np.floating]]) -> tuple[Tensor, list[int]]:
+    """Rows of every lane, ``[L, n, D]``, and how many are its own: the shorter ones are repeated.
+
+    A repeated neighbour changes no distance. What depends on their number, deviations and
+    quantiles, is taken of a lane's own, so that no lane feels how long the others' logs are.
+    """
+    counts = [len(lane) for lane in lanes]
+    places = np.arange(max(counts))
+    repeated = [lane[places % count] for lane, count in zip(lanes, counts, strict=True)]
+    return torch.from_numpy(np.stack(repeated)).float(), counts
 
 
-def _spread(size: int, count: int) -> Tensor:
-    """At most ``count`` of ``size`` places, evenly spaced."""
-    return torch.linspace(0, size - 1, min(size, count)).round().long()
+def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """At most ``count`` of the rows, evenly spaced.
+
+    Places are rounded from float32, other than in `spread_rows`: a few of the thousands differ by
+    one, and trained policies depend on them.
+    """
+    size = len(rows)
+    places = torch.linspace(0, size - 1, min(size, count)).round().long()
+    chosen: NDArray[np.int64] = rows[places.numpy()]
+    return chosen

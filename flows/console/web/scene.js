@@ -20,7 +20,7 @@ export default {
   },
   watch: {
     strips() { this.clear(); this.draw(); },
-    scenery() { this.clear(); this.arrows = []; this.draw(); },
+    scenery() { this.clear(); this.arrows = []; this.shown = false; this.draw(); }, // another system: the robot leaves
   },
   methods: {
     clear() {

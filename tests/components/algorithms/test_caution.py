@@ -11,6 +11,7 @@ from components.algorithms.parts.caution import Caution
 from components.algorithms.wsbc import Config as SwarmConfig
 from components.core.options import identity
 from components.data.batches import LaneData
+from components.data.dataset import OfflineDataset
 from components.models.transition.interface import Prediction
 from components.models.transition.model_environment import RolloutStep
 from tests.components.algorithms.stacks import learner, run
@@ -18,6 +19,8 @@ from tests.components.synthetic import CPU, make_log, policy_card
 
 LOG = make_log()
 OTHER = make_log("other", seed=5)
+SHORT = make_log("short", seed=6, episodes=3, steps=20)
+"""A sixth as many pairs as the others have."""
 STILL = make_log("still", explore=0.0)
 """The log of a controller that does not explore: any other action is foreign."""
 HISTORY = 3
@@ -74,6 +77,27 @@ def test_the_excess_by_plain_loops() -> None:
             assert float(found[lane, n]) == pytest.approx(total / weights, rel=1e-4, abs=1e-6)
 
 
+@pytest.mark.parametrize("measure", ["distance", "disagreement"])
+def test_a_lane_does_not_feel_how_long_the_other_logs_are(measure: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    pairs = 3 * torch.randn(2, 5, 9, generator=generator)
+    values = torch.randn(2, 2, 4, 5, generator=generator)
+    logs = [LOG, SHORT]
+
+    def limit_and_excess(lanes: slice) -> tuple[torch.Tensor, torch.Tensor]:
+        data = LaneData(logs[lanes], CPU)
+        caution = Caution(data, data.frame_scaling, measure)
+        caution.familiar([step_of(pairs[lanes] / 9, values[lanes] / 2)])
+        return caution.limit, caution.excess([step_of(pairs[lanes], values[lanes])], 0.9)
+
+    both = limit_and_excess(slice(0, 2))
+    assert (both[1] > 0).any(dim=1).all()
+    for lane in range(2):
+        for stacked, alone in zip(both, limit_and_excess(slice(lane, lane + 1)), strict=True):
+            # float32 sums of other shapes
+            torch.testing.assert_close(stacked[lane], alone[0], rtol=1e-6, atol=0.0)
+
+
 def test_what_the_behaviour_policy_visits_is_familiar() -> None:
     data = LaneData([LOG], CPU)
     caution = Caution(data, data.frame_scaling)
@@ -125,10 +149,11 @@ def test_without_caution_nothing_changes(config: Any, algorithm: str) -> None:
             config(**wrong)
 
 
+@pytest.mark.parametrize("beside", [LOG, SHORT], ids=["equal", "short"])
 @pytest.mark.parametrize("algorithm", ["lion", "wsbc"])
-def test_stacked_is_alone(algorithm: str) -> None:
-    stacked = learner(algorithm, [LOG, OTHER], [0, 0], caution=0.5)
-    alone = learner(algorithm, [OTHER], [0], caution=0.5)
+def test_stacked_is_alone(algorithm: str, beside: OfflineDataset) -> None:
+    stacked = learner(algorithm, [beside, STILL], [0, 0], caution=0.5)
+    alone = learner(algorithm, [STILL], [0], caution=0.5)
     run(stacked, 3)
     run(alone, 3)
     card = policy_card(takes_proximity=algorithm == "lion")

@@ -9,6 +9,7 @@ import pytest
 from components.core.files import (
     read_json,
     replacing,
+    replacing_folder,
     temporary_name,
     without_undefined,
     write_json,
@@ -125,3 +126,24 @@ def test_json_has_no_infinite_and_no_undefined_numbers(tmp_path: Path) -> None:
     write_json(tmp_path / "a.json", without_undefined(value))
     expected = {"a": [1.5, None, [None, "x"]], "b": {"c": None, "d": 2, "e": None}}
     assert read_json(tmp_path / "a.json") == expected
+
+
+def test_a_folder_is_replaced_with_all_that_it_holds(tmp_path: Path) -> None:
+    path = tmp_path / "packed"
+    for content in ("one", "two"):
+        with replacing_folder(path) as made:
+            made.mkdir()
+            (made / content).touch()
+            assert not path.exists() or names(path) == ["one"]
+    assert names(path) == ["two"]
+    assert names(tmp_path) == ["packed"]
+
+
+def test_a_folder_comes_back_if_the_new_one_cannot_take_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "packed"
+    path.mkdir()
+    (path / "one").touch()
+    with pytest.raises(FileNotFoundError), replacing_folder(path):
+        pass  # nothing is made
+    assert names(path) == ["one"]
+    assert names(tmp_path) == ["packed"]

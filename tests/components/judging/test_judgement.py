@@ -11,7 +11,7 @@ from components.data.assembly import part_of
 from components.judging.config import JudgeConfig
 from components.judging.judged import JudgedPolicies
 from components.judging.judgement import judge
-from components.judging.rollouts import VirtualWorld, spread_rows
+from components.judging.rollouts import VirtualWorld
 from components.judging.support import Support
 from components.policies.policy import Policy
 from tests.components.synthetic import (
@@ -174,11 +174,6 @@ def test_a_part_of_a_log_has_its_own_statistics_and_rows() -> None:
     assert part.card.first_window_return_mean != LOG.card.first_window_return_mean
     with pytest.raises(ValueError, match="has no episode"):
         part_of(LOG, range(3, 3))
-
-
-def test_rows_are_spread_evenly() -> None:
-    assert spread_rows(np.arange(3), 5).tolist() == [0, 1, 2]
-    assert spread_rows(np.arange(101), 3).tolist() == [0, 50, 100]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from components.operating.caution import Caution
+from components.evaluation.guarantee import Guarantee
 from components.operating.flying import Flying
 from components.operating.operable import SHIPPED, Operable
 from components.operating.session import Session
@@ -113,12 +113,12 @@ def test_the_autopilot_measures_the_familiar_first_and_goes_no_farther_than_is_s
     assert 0 <= found <= 1
 
 
-def test_caution_decides_how_far_the_autopilot_goes_and_what_it_promises() -> None:
+def test_the_guarantee_decides_how_far_the_autopilot_goes_and_what_it_promises() -> None:
     """On noiseless returns a slope of 40 times the return lets it go a tenth as far as one of 4."""
     card = dataclasses.replace(TURBINE, return_steps=1, steps=1, first_window_return_mean=-10.0)
     ahead = []
     for slope in (4.0, 40.0):
-        pilot = Flying(card, Caution(margin=0.1, slope=slope))
+        pilot = Flying(card, Guarantee(margin=0.1, slope=slope))
         for _ in range(8):
             assert pilot.propose() == 0.0
             pilot.tell(-10.0)
@@ -129,7 +129,7 @@ def test_caution_decides_how_far_the_autopilot_goes_and_what_it_promises() -> No
     assert "falls by at most 4e+02 per unit of λ" in pilot.promise
     for wrong in ({"margin": 0.0}, {"slope": float("nan")}):
         with pytest.raises(ValueError, match="must be a positive number"):
-            Caution(**wrong)
+            Guarantee(**wrong)
 
 
 @pytest.mark.parametrize("value", [-0.01, 1.01, float("nan"), float("inf")])

@@ -158,3 +158,22 @@ def test_a_full_recording_ends_the_run_and_a_reset_begins_it_again(
     bench.restart()
     assert bench.running
     assert [bench.step() for _ in range(3)] == drawn  # from the first start
+
+
+def test_a_reset_keeps_what_the_operator_has_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(Catalogue(tmp_path).open("turbine"), "turbine")
+    bench.step()
+    bench.turn(0.5)
+    bench.session.driver = "behaviour"
+    bench.session.plant.demand(55.0)
+    bench.restart()
+    for _ in range(2):
+        bench.step()
+    assert bench.last is not None
+    assert (bench.last.episode, bench.last.step, bench.last.setpoint) == (0, 1, 55.0)
+    assert bench.last.frames[0, 0] == 55.0  # the turbine sees it
+    assert (bench.last.driver, bench.last.proximity) == ("behaviour", 0.5)
+    saved = bench.save(tmp_path / "sessions")
+    assert door(monkeypatch, f"replay={saved}", f"store={tmp_path}") == 0

@@ -1,20 +1,23 @@
-"""How careful the autopilot of a session is."""
+"""What the autopilot guarantees, and what it assumes, in shares of the behaviour's return.
+
+Here stand the only defaults: the study, the library and the console begin with the same ones.
+"""
 
 import math
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["USUAL", "Caution"]
+__all__ = ["USUAL", "Guarantee"]
 
 
 @dataclass(frozen=True)
-class Caution:
-    """How careful the autopilot is, in shares of the size of the logged return.
+class Guarantee:
+    """How careful the autopilot is, in shares of the size of the behaviour's mean return.
 
     Attributes:
         margin: What a trajectory may cost on average, beside the behaviour's return.
         slope: How much the return falls at most per unit of proximity; by default a fifth of the
-            logged return in a step of 0.05.
+            behaviour's return in a step of 0.05.
 
     Raises:
         ValueError: One of them is no positive number.
@@ -31,5 +34,5 @@ class Caution:
                 raise ValueError(f"{name}={value} must be a positive number.")
 
 
-USUAL: Final = Caution()
+USUAL: Final = Guarantee()
 """What is taken where nobody says anything."""
