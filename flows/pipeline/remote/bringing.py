@@ -57,6 +57,7 @@ class Glance(SharedStore):
             (folder / "locks").mkdir(parents=True, exist_ok=True)
             (root / "locks").symlink_to(folder / "locks")
         super().__init__(url, drives=True, root=root)
+        self._seen: set[str] = set()  # keys that this process has compared
 
     def look_again(self) -> None:
         """Brings what has changed.
@@ -76,13 +77,24 @@ class Glance(SharedStore):
             StoreError: the shared store does not answer.
         """
         self._begun = None
-        missing = {f"nodes/{key}/{RECORD}": key for key in keys if not self.path(key).is_dir()}
-        for name, content in self.objects.read_many(list(missing)).items():
-            with suppress(ValueError, AttributeError, KeyError, TypeError):
-                files = json.loads(content).get("files", {})
-                small = [file for file, about in files.items() if about["size"] <= SMALL]
-                key = missing[name]
-                self._folders.pull_some(key, content, small, self.path(key))
+        # One that is here may have been made again; every look at all would take too long.
+        missing = [key for key in keys if key not in self._seen or not self.path(key).is_dir()]
+        records = self.objects.read_many([f"nodes/{key}/{RECORD}" for key in missing])
+        for key in missing:
+            content = records.get(f"nodes/{key}/{RECORD}")
+            if content != self._record_here(key):
+                with self._arriving(key):
+                    self._show(key, content)
+        self._seen |= set(missing)
+
+    def _show(self, key: str, content: bytes | None) -> None:
+        if content is None:
+            self._folders.discard(self.path(key))
+            return
+        with suppress(ValueError, AttributeError, KeyError, TypeError):
+            files = json.loads(content).get("files", {})
+            small = [file for file, about in files.items() if about["size"] <= SMALL]
+            self._folders.pull_some(key, content, small, self.path(key))
 
 
 def _nodes(root: Path, sweeps: Collection[str]) -> set[str]:

@@ -1,6 +1,6 @@
 """Locks in a shared store: claims of drivers, which hold for as long as their driver gives signs.
 
-locks/NAME.claim     whose a node, or a sweep, is
+locks/NAME.claim     whose a node, or a sweep, is: OWNER, and a number if it is one process's alone
 locks/OWNER.beat     the driver's sign of life, another one every few seconds
 
 A claim is made by an object that only one of two writers can create. Its owner is the driver, not
@@ -24,6 +24,7 @@ from flows.pipeline.remote.objects import Objects
 __all__ = ["SILENCE", "Claims"]
 
 SILENCE = 60.0  # seconds without another sign of life after which a driver is gone
+_MENDING = 600.0  # seconds after which who holds a name alone has died, though its driver lives
 _BETWEEN = 2.0  # seconds between two looks at a claim of another driver
 
 
@@ -41,7 +42,7 @@ class Claims:
         clock: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Takes the store's objects and whose claims these are."""
+        """Takes the store's objects and whose claims these are; nobody's if only to look."""
         self.owner = owner
         self._objects, self._clock, self._pause = objects, clock, pause
         self._signs: dict[str, tuple[bytes, float]] = {}  # the last one seen, and since when
@@ -52,6 +53,7 @@ class Claims:
         Raises:
             StoreError: the store cannot be written.
         """
+        self._check_owner()
         sign = {"host": socket.gethostname(), "processes": _processes(), "pid": os.getpid()}
         sign["sign"] = secrets.token_hex(8)
         self._objects.write(_beat(self.owner), json.dumps(sign).encode())
@@ -77,15 +79,16 @@ class Claims:
             taken.append(name)
         return taken
 
-    def _take(self, name: str, *, wait: bool) -> bool:
-        ours = self.owner.encode()
-        while not self._objects.create(_claim(name), ours):
+    def _take(self, name: str, *, wait: bool, content: bytes = b"") -> bool:
+        self._check_owner()
+        content = content or self.owner.encode()
+        while not self._objects.create(_claim(name), content):
             holder = self._objects.read(_claim(name))
-            if holder is None or holder == ours:
-                if holder == ours:
-                    return True
+            if holder == content:
+                return True
+            if holder is None:
                 continue
-            if not self.lives(holder.decode(errors="replace")):
+            if not self._holds(name, holder):
                 # Two that take over in one instant may both compute the node; one result stays.
                 if self._objects.read(_claim(name)) == holder:
                     self._objects.delete([_claim(name)])
@@ -94,6 +97,25 @@ class Claims:
             else:
                 return False
         return True
+
+    def _check_owner(self) -> None:
+        if not self.owner:
+            raise ValueError("a store without an owner is only read: it has nobody to claim for")
+
+    @contextmanager
+    def alone(self, name: str) -> Iterator[bool]:
+        """Claims a name for this process, not for its driver's others; does not wait.
+
+        Yields:
+            Whether it is claimed; False also if another worker of the same driver has it.
+        """
+        content = f"{self.owner} {secrets.token_hex(8)}".encode()
+        taken = self._take(name, wait=False, content=content)
+        try:
+            yield taken
+        finally:
+            if taken:
+                self._give_back([name], content)
 
     def outlive(self, name: str) -> bool:
         """Claims a name, if its holder gives no other sign of life while one waits for it.
@@ -109,8 +131,26 @@ class Claims:
         return True
 
     def _sign_of_holder(self, name: str) -> bytes:
-        owner = (self._objects.read(_claim(name)) or b"").decode(errors="replace")
+        owner = _owner(self._objects.read(_claim(name)) or b"")
         return (owner and self._objects.read(_beat(owner))) or b""
+
+    def _holds(self, name: str, content: bytes) -> bool:
+        """Whether a claim with this content may still hold; an empty one may be being written."""
+        owner = _owner(content)
+        if owner and not self.lives(owner):
+            return False
+        if content == owner.encode():
+            return bool(owner) or self._is_new(_claim(name), content, SILENCE)
+        return self._is_new(_claim(name), content, _MENDING)
+
+    def _is_new(self, what: str, sign: bytes, seconds: float) -> bool:
+        """Whether a sign has been the same for less than some seconds."""
+        known = self._signs.get(what)
+        now = self._clock()
+        if known is None or known[0] != sign:
+            self._signs[what] = sign, now
+            return True
+        return now - known[1] < seconds
 
     def lives(self, owner: str) -> bool:
         """Whether a driver may still live: it does until its sign has been the same for a minute.
@@ -123,19 +163,14 @@ class Claims:
         sign = self._objects.read(_beat(owner))
         if sign is None:
             return False
-        known, since = self._signs.get(owner, (b"", 0.0))
-        now = self._clock()
-        if sign != known:
-            self._signs[owner] = sign, now
-            since = now
-        if now - since < SILENCE and not _dead_here(sign):
+        if self._is_new(_beat(owner), sign, SILENCE) and not _dead_here(sign):
             return True
         self._objects.delete([_beat(owner)])
         return False
 
     def holder(self, name: str) -> str:
         """Which machine and process has claimed a name, in words."""
-        owner = (self._objects.read(_claim(name)) or b"").decode(errors="replace")
+        owner = _owner(self._objects.read(_claim(name)) or b"")
         sign = self._objects.read(_beat(owner)) if owner else None
         try:
             about = json.loads(sign or b"")
@@ -149,9 +184,11 @@ class Claims:
         Raises:
             StoreError: the store does not answer or cannot be written.
         """
-        claims = [_claim(name) for name in names]
-        held = self._objects.read_many(claims) if claims else {}
-        self._objects.delete(c for c, owner in held.items() if owner == self.owner.encode())
+        self._give_back(names, self.owner.encode())
+
+    def _give_back(self, names: Iterable[str], content: bytes) -> None:
+        held = self._objects.read_many([_claim(name) for name in names])
+        self._objects.delete(claim for claim, written in held.items() if written == content)
 
     def end(self) -> None:
         """Gives everything back, and removes what drivers that are gone have left.
@@ -160,11 +197,15 @@ class Claims:
             StoreError: the store does not answer or cannot be written.
         """
         self._objects.delete([_beat(self.owner)])
-        there = self._objects.sizes("locks")
-        claims = self._objects.read_many([name for name in there if name.endswith(".claim")])
-        dead = {o.decode(errors="replace") for o in claims.values()}
-        dead = {owner for owner in dead if _beat(owner) not in there or owner == self.owner}
-        self._objects.delete(c for c, o in claims.items() if o.decode(errors="replace") in dead)
+        names = [name for name in self._objects.sizes("locks") if name.endswith(".claim")]
+        owners = {
+            claim: _owner(content) for claim, content in self._objects.read_many(names).items()
+        }
+        # In this order: a driver gives its first sign before it claims anything.
+        beats = self._objects.read_many({_beat(owner) for owner in owners.values() if owner})
+        self._objects.delete(
+            c for c, owner in owners.items() if owner and _beat(owner) not in beats
+        )
 
     @contextmanager
     def held(self, names: Iterable[str], *, wait: bool = True) -> Iterator[bool]:
@@ -206,6 +247,11 @@ def _processes() -> str:
         started = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{started} {os.readlink('/proc/self/ns/pid')}"
     return ""
+
+
+def _owner(content: bytes) -> str:
+    """Whose a claim is; empty if it has not been written yet."""
+    return content.decode(errors="replace").partition(" ")[0]
 
 
 def _claim(name: str) -> str:

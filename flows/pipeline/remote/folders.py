@@ -6,6 +6,7 @@ digests, NAME/SHA256: written again, it replaces the former one in the instant i
 does, and files that both have travel once.
 """
 
+import errno
 import json
 import os
 import secrets
@@ -50,7 +51,7 @@ class Folders:
         Args:
             key: Of the node.
             record: Content of its `node.json`.
-            target: A folder that is not there; it appears when all is.
+            target: The folder; what is there stays until all has come.
 
         Raises:
             DamagedFileError: something is missing or damaged in the shared store.
@@ -69,8 +70,7 @@ class Folders:
         with self._arriving(target) as half:
             self._bring(key, record, names, half)
             check_folder(half)
-            if not target.exists():
-                os.rename(half, target)
+            self.replace(half, target)
 
     def pull_some(self, key: str, record: bytes, names: Collection[str], target: Path) -> None:
         """Copies some files of a finished artifact onto the disk, unchecked; see `pull_artifact`.
@@ -80,8 +80,7 @@ class Folders:
         """
         with self._arriving(target) as half:
             self._bring(key, record, names, half)
-            if not target.exists():
-                os.rename(half, target)
+            self.replace(half, target)
 
     def _bring(self, key: str, record: bytes, names: Collection[str], half: Path) -> None:
         (half / RECORD).write_bytes(record)
@@ -123,6 +122,8 @@ class Folders:
         """
         with self._arriving(folder) as frozen:
             _link_tree(folder, frozen, leave_out)
+            if not folder.is_dir():  # it may have lost files while it was copied
+                raise FileNotFoundError(errno.ENOENT, "The folder has been removed", str(folder))
             files = describe_files(frozen)
             stored = self._objects.sizes(name)
             by_digest = {f"{name}/{about['sha256']}": file for file, about in files.items()}
@@ -170,10 +171,24 @@ class Folders:
                         (half / file).parent.mkdir(parents=True, exist_ok=True)
                         shutil.copyfile(half / first[f"{name}/{about['sha256']}"], half / file)
                 check_files(half, listed["files"])
-                shutil.rmtree(target, ignore_errors=True)
-                os.rename(half, target)
+                self.replace(half, target)
                 return True
         return False
+
+    def replace(self, folder: Path, target: Path) -> None:
+        """Renames a folder, in place of what is there: that is never seen in part."""
+        gone = self._scratch / f"{target.name}-{secrets.token_hex(6)}"
+        gone.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):
+            os.rename(target, gone)
+        os.rename(folder, target)
+        self.discard(gone)
+
+    def discard(self, path: Path) -> None:
+        """Removes a folder or a file, if it is there."""
+        shutil.rmtree(path, ignore_errors=True)
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
     def remove(self, name: str) -> None:
         """Removes a folder; its list first, so that nobody begins to read it.

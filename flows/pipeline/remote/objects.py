@@ -18,7 +18,8 @@ from flows.pipeline.tracking.redaction import without_secrets
 
 __all__ = ["Objects"]
 
-_IN_PLACE = ("file", "local", "sftp", "ssh", "smb")  # protocols that show half-written files
+_LOCAL = ("file", "local")
+_IN_PLACE = (*_LOCAL, "sftp", "ssh", "smb")  # protocols that show half-written files
 _HALF = ".half-"  # begins the name of one
 _WAITS = (1.0, 3.0, 9.0, 27.0)  # seconds before another try; object stores are away now and then
 Result = TypeVar("Result")
@@ -43,7 +44,7 @@ class Objects:
 
         protocol = url.partition("://")[0]
         options: dict[str, Any] = {"use_listings_cache": False}  # others write, too
-        if protocol in ("file", "local"):
+        if protocol in _LOCAL:
             options = {"auto_mkdir": True}
         try:
             self._fs, root = fsspec.url_to_fs(self.url, **options)
@@ -55,6 +56,7 @@ class Objects:
             ) from error
         self._root = root.rstrip("/")
         self._renames = protocol in _IN_PLACE
+        self._links = protocol in _LOCAL
 
     def read(self, name: str) -> bytes | None:
         """The content of an object; None if there is none.
@@ -123,9 +125,12 @@ class Objects:
         path = self._path(name)
 
         def once() -> bool:
-            if self._renames:
-                self._fs.makedirs(path.rpartition("/")[0], exist_ok=True)
             try:
+                if self._links:
+                    self._link(name, content)
+                    return True
+                if self._renames:
+                    self._fs.makedirs(path.rpartition("/")[0], exist_ok=True)
                 self._fs.pipe_file(path, content, mode="create")
             except FileExistsError:
                 # Also our own, if an earlier try succeeded and its answer was lost.
@@ -133,6 +138,33 @@ class Objects:
             return True
 
         return self._patiently(once)
+
+    def _link(self, name: str, content: bytes) -> None:
+        """Writes a file of a local disk unless it is there.
+
+        A second name for a whole file: fsspec would look first whether there is one and then write
+        in place, so that two succeed at once and a third reads an empty file.
+
+        Raises:
+            FileExistsError: it is there.
+        """
+        path = self._path(name)
+        folder, _, last = path.rpartition("/")
+        os.makedirs(folder, exist_ok=True)
+        half = f"{folder}/{_HALF}{last}-{secrets.token_hex(4)}"
+        try:
+            with open(half, "xb") as file:
+                file.write(content)
+            try:
+                os.link(half, path)
+            except FileExistsError:
+                raise
+            except OSError:  # a disk without second names
+                with open(path, "xb") as file:
+                    file.write(content)
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(half)
 
     def delete(self, names: Iterable[str]) -> None:
         """Removes objects; those that are not there do not matter.
@@ -216,7 +248,7 @@ class Objects:
         half = f"{folder}/{_HALF}{last}-{secrets.token_hex(4)}"
         self._fs.makedirs(folder, exist_ok=True)
         yield half
-        if self._fs.protocol in ("file", "local") or "file" in self._fs.protocol:
+        if self._links:
             os.replace(half, path)
         else:
             self._fs.mv(half, path)

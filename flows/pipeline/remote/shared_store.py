@@ -9,7 +9,6 @@ Locks hold on this machine by the kernel and between machines by claims of drive
 
 import dataclasses
 import secrets
-import shutil
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,14 +16,13 @@ from typing import Any
 
 from components.core.files import write_text
 from components.core.integrity import DamagedFileError, describe_files
-from components.core.sealed import RECORD, manifest_digest
+from components.core.sealed import manifest_digest
 from flows.pipeline.errors import PipelineError, StoreError
 from flows.pipeline.locks import locked
-from flows.pipeline.remote.claims import Claims
 from flows.pipeline.remote.courier import DriverCourier, WorkerCourier
-from flows.pipeline.remote.folders import Folder, Folders
-from flows.pipeline.remote.objects import Objects
-from flows.pipeline.remote.places import address_of, copy_of
+from flows.pipeline.remote.folders import Folder
+from flows.pipeline.remote.places import address_of
+from flows.pipeline.remote.shared_artifacts import SharedArtifacts
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.work import Work
 
@@ -35,14 +33,8 @@ _STAYS = ("ready.json", "out")  # of a work folder: half-made outputs
 _RECORDS = ("sweeps", "drivers")
 
 
-class SharedStore(ArtifactStore):
-    """The copy of a shared store on this machine.
-
-    Attributes:
-        url: Of the shared store.
-        drives: Whether the driver of a sweep holds it, which keeps a copy of all it has computed.
-        objects: Of the shared store.
-    """
+class SharedStore(SharedArtifacts):
+    """The copy of a shared store on this machine, see :class:`SharedArtifacts`."""
 
     def __init__(
         self, url: str, owner: str = "", *, drives: bool = False, root: Path | None = None
@@ -52,88 +44,20 @@ class SharedStore(ArtifactStore):
         Args:
             url: Of the shared store.
             owner: Whose claims are made; empty for a store to read.
-            drives: See the class.
+            drives: Whether the driver of a sweep holds it.
             root: Folder of the copy, if it is another one.
 
         Raises:
             StoreError: the folder cannot be made, or the protocol is not known.
         """
-        super().__init__(root or copy_of(url))
-        self.url = url.rstrip("/")
-        self.drives = drives
-        self.objects = Objects(self.url)
-        self._folders = Folders(self.objects, self.root / "arriving")
-        self._claims = Claims(self.objects, owner)
+        super().__init__(url, owner, drives=drives, root=root)
         self._sent: dict[str, str] = {}
         self._begun: dict[str, Folder] | None = None  # lists of work, as a driver has found them
 
-    # Finished artifacts
-
     def fetch(self, keys: Iterable[str]) -> None:
-        """Brings the finished ones of these artifacts here, and takes away what is not there.
-
-        Raises:
-            StoreError: the shared store does not answer.
-        """
-        wanted = sorted(set(keys))
+        """Brings artifacts here, see :meth:`SharedArtifacts.fetch`; others may have begun work."""
         self._begun = None
-        theirs = self.objects.read_many([f"nodes/{key}/{RECORD}" for key in wanted])
-        for key in wanted:
-            content = theirs.get(f"nodes/{key}/{RECORD}")
-            with locked(self.locks / f"arriving-{key}"):
-                self._fetch(key, content)
-
-    def _fetch(self, key: str, content: bytes | None) -> None:
-        here = self.path(key)
-        with suppress(OSError):
-            if (here / RECORD).read_bytes() == content and self.intact(key):
-                return
-        if content is None:
-            if here.exists() and self.drives and self.intact(key, large=True):
-                self._folders.push_artifact(here, key)  # the shared store has lost it
-            elif self._claims.owner:
-                shutil.rmtree(here, ignore_errors=True)
-            return
-        self._records.pop(key, None)
-        if here.is_dir():
-            shutil.rmtree(here)
-        here.unlink(missing_ok=True)
-        with suppress(DamagedFileError):
-            self._folders.pull_artifact(key, content, here)
-            return
-        self._take_away(key)
-
-    def publish(self, folder: Path, key: str) -> None:
-        """Makes a filled folder the artifact of a node, everywhere; the first publisher wins.
-
-        Raises:
-            StoreError: the shared store does not answer or cannot be written.
-        """
-        if self.objects.read(f"nodes/{key}/{RECORD}") is None:
-            self._folders.push_artifact(folder, key)
-            super().publish(folder, key)
-            return
-        shutil.rmtree(folder)
-        self.fetch([key])
-
-    def set_aside(self, key: str, place: int | None) -> bool:
-        """Moves what is not what was written out of the way, see :meth:`Artifacts.set_aside`.
-
-        One that is sound but made from another input goes everywhere; where only the copy here is
-        damaged, the shared one stays and comes back when it is needed.
-        """
-        sound = self.intact(key, large=True)
-        moved = super().set_aside(key, place)
-        if moved and sound:
-            self._take_away(key)
-        return moved
-
-    def _take_away(self, key: str) -> None:
-        name = f"nodes/{key}/{RECORD}"
-        content = self.objects.read(name)
-        if content is not None:
-            self.objects.write(f"damaged/{key}/{RECORD}", content)
-            self.objects.delete([name, *self.objects.sizes(f"nodes/{key}")])
+        super().fetch(keys)
 
     # Work folders
 
@@ -236,22 +160,13 @@ class SharedStore(ArtifactStore):
             return Path(named)
         name = named.removeprefix(_SHARED)
         here = self.root / "folders" / name
-        if not here.is_dir():
-            listed = self._folders.list_of(self.objects.read(f"folders/{name}.json"))
-            if listed is None or not self._folders.pull(f"folders/{name}", listed, here):
-                raise DamagedFileError(f"folders/{name} of {self.url} is missing or damaged", here)
+        with locked(self.locks / f"arriving-{name}"):
+            if not here.is_dir():
+                listed = self._folders.list_of(self.objects.read(f"folders/{name}.json"))
+                if listed is None or not self._folders.pull(f"folders/{name}", listed, here):
+                    said = f"folders/{name} of {self.url} is missing or damaged"
+                    raise DamagedFileError(said, here)
         return here
-
-    @contextmanager
-    def locked(self, keys: Iterable[str], *, wait: bool = True) -> Iterator[bool]:
-        """Holds the locks of several nodes, here and, for drivers and workers, everywhere."""
-        keys = list(keys)
-        with super().locked(keys, wait=wait) as held:
-            if not held or not self._claims.owner:
-                yield held
-                return
-            with self._claims.held(keys, wait=wait) as claimed:
-                yield claimed
 
     @contextmanager
     def carrying(self, group: str, work: Work) -> Iterator[None]:
@@ -288,6 +203,8 @@ class SharedStore(ArtifactStore):
                         f"({self._claims.holder(sweep)}): wait for it, stop it, or give this sweep "
                         "another name."
                     )
+                self._mends = True
+                self.fetch(self._doubtful)
                 try:
                     yield
                 finally:
