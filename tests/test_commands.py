@@ -31,6 +31,8 @@ from tests.flows.furnace import as_csv, furnace, write_schema
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "yaml", "text", "json", "toml", "html"}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
+ACTIVATE = ".venv/bin/activate"
+"""What `make` has set up."""
 SERVERS = ("mkdocs", "mlflow", "optuna-dashboard")
 """Programs of other packages; they serve until Ctrl-C."""
 
@@ -166,6 +168,8 @@ def perform(command: Command, patch: pytest.MonkeyPatch) -> None:
         case ("pip", "install", *words):
             assert extras_of(words[-1]) <= set(optional)
             assert command.long
+        case ("source", script):
+            assert script == ACTIVATE
         case ("export", assignment):
             assert re.fullmatch(r"[A-Z_]+=\S+", assignment)
         case _:
@@ -179,6 +183,13 @@ def test_every_block_says_what_it_is() -> None:
         assert languages <= LANGUAGES, f"{page.name}: commands stand in blocks of ```bash"
         indented = re.findall(r"^(?: {4}|\t)(?:python|make|pip) .*", text, re.M)
         assert indented == [], f"{page.name}: commands stand in blocks of ```bash"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/operations.md"])
+def test_the_environment_is_activated_before_its_python_is_used(page: str) -> None:
+    found = [command.words for command in commands_in((ROOT / page).read_text(encoding="utf-8"))]
+    first = next(place for place, words in enumerate(found) if words[0] == "python")
+    assert ("source", ACTIVATE) in found[:first]
 
 
 def test_there_are_commands_of_both_kinds() -> None:
