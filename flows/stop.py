@@ -52,7 +52,7 @@ def stop(words: SweepWords) -> int:
     driver = read_driver(store.root, record.name)
     if driver is None or not ask_to_stop(store.root, driver, time.time()):
         raise SettingsError(f"No driver of sweep {record.name} runs; there is nothing to stop.")
-    store.send_requests()
+    store.send_request(record.name)
     word = address_of(words.store) or words.store
     print(
         f"The driver of sweep {record.name} on {driver.host} (process {driver.pid}) is asked to "

@@ -25,7 +25,15 @@ from flows.pipeline.locks import Lock
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["Driver", "DriverRecord", "ask_to_stop", "driving", "is_alive", "read_driver"]
+__all__ = [
+    "Driver",
+    "DriverRecord",
+    "ask_to_stop",
+    "driving",
+    "is_alive",
+    "is_driven",
+    "read_driver",
+]
 
 _BETWEEN = 1.0  # least seconds between two records
 _BEAT = 5.0  # seconds after which a record is written without a change
@@ -217,6 +225,11 @@ def is_alive(root: Path, record: DriverRecord, now: float) -> bool:
     if held is not None and (held or record.host == socket.gethostname()):
         return held
     return now - record.beat < _SILENCE
+
+
+def is_driven(root: Path, name: str) -> bool:
+    """Whether a process drives a sweep in this folder, as far as its lock can tell."""
+    return _is_held(_lock(root, name)) is True
 
 
 def ask_to_stop(root: Path, record: DriverRecord, now: float) -> bool:

@@ -126,8 +126,8 @@ class ArtifactStore(WorkFolders):
         """Drives a sweep; on one machine its lock is enough, see `driver`."""
         return nullcontext()
 
-    def send_requests(self) -> None:
-        """Sends requests to drivers to stop, which see them anyway."""
+    def send_request(self, sweep: str) -> None:
+        """Sends a request to the driver of a sweep to stop, who sees it anyway."""
 
     def look_again(self) -> None:
         """Brings the records of sweeps here, where they already are."""

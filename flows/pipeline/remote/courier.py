@@ -3,28 +3,32 @@
 A worker sends its progress and its checkpoints and hears requests to end; the driver sends its
 record, signs of life and requests, and hears progress. A store that is away for a while delays
 this, no more: each look sends what is newest.
+
+Others keep their records in the same store, and in the same copy of it on a machine: each carries
+what is its own, which nobody else can know better, and leaves the rest alone.
 """
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from components.core.files import read_json, write_text
+from flows.pipeline.driver import read_driver
 from flows.pipeline.errors import StoreError
+from flows.pipeline.remote.claims import Claims
 from flows.pipeline.remote.objects import Objects
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import REACHED_FILE
 
-__all__ = ["BETWEEN", "DriverCourier", "WorkerCourier"]
+__all__ = ["BETWEEN", "DriverCourier", "WorkerCourier", "sweep_claim"]
 
 BETWEEN = 5.0  # seconds between two looks
 _QUIET = ("members.json", REACHED_FILE)  # files of a work folder that are no checkpoint
 _REQUESTS = ("pause", "stop")
-_RECORDS = ("drivers", "sweeps")
 
 
 class _Courier:
@@ -108,48 +112,107 @@ class WorkerCourier(_Courier):
 
 
 class DriverCourier(_Courier):
-    """Sends what a driver tells, and hears how its workers do."""
+    """Gives a driver's signs of life; once it has its sweep, sends what it tells, and hears."""
 
-    def __init__(self, objects: Objects, store: ArtifactStore, beat: Callable[[], None]) -> None:
-        """Takes the store and what gives a sign of life."""
+    def __init__(
+        self,
+        objects: Objects,
+        store: ArtifactStore,
+        name: str,
+        claims: Claims,
+        groups: Collection[str],
+    ) -> None:
+        """Takes the store and what is the driver's own.
+
+        Args:
+            objects: Of the shared store.
+            store: This machine's copy.
+            name: Of the sweep, which is also that of its record.
+            claims: Of the driver.
+            groups: Names of the calls that it has sent, as they are at any time.
+        """
         super().__init__(objects, store)
-        self._beat = beat
-        self._told: dict[Path, int] = {}
+        self._sweep, self._claims, self._groups = name, claims, groups
+        self._request = f"drivers/{name}.stop"
+        self._records = [store.root / folder / f"{name}.json" for folder in ("drivers", "sweeps")]
+        self._told: dict[Path, tuple[int, int] | None] = {}
+        self._asked: set[str] = set()
+        self._begun = False
+
+    def begin(self) -> None:
+        """Carries from now on: the sweep is this driver's.
+
+        Raises:
+            StoreError: the store cannot be written.
+        """
+        # What lies here was written by an earlier driver, or has been brought from elsewhere.
+        self._told = {file: _version(file) for file in self._records}
+        self.objects.delete([self._request])  # to an earlier one: nobody knows this one yet
+        self._begun = True
 
     def look(self) -> None:
         """Sends what is new, takes reports and requests."""
-        self._beat()
-        self._tell()
-        self._ask()
-        self._hear()
+        self._claims.beat()
+        # One that was cut off for long may find that another driver has taken its sweep over.
+        if self._begun and self._claims.take([sweep_claim(self._sweep)], wait=False):
+            self._tell()
+            groups = sorted(self._groups)
+            self._ask(groups)
+            self._hear(groups)
 
     def _tell(self) -> None:
-        for folder in _RECORDS:
-            for file in sorted((self.store.root / folder).glob("[!.]*.json")):
-                changed = file.stat().st_mtime_ns
-                if self._told.get(file) != changed:
-                    self.objects.write(f"{folder}/{file.name}", file.read_bytes())
-                    self._told[file] = changed
+        for file in self._records:
+            version = _version(file)
+            if version is not None and version != self._told.get(file):
+                self.objects.write(f"{file.parent.name}/{file.name}", file.read_bytes())
+                self._told[file] = version
 
-    def _ask(self) -> None:
-        for request in _REQUESTS:
-            for file in (self.store.root / "progress").glob(f"*.{request}"):
-                self.objects.write(f"progress/{file.name}", b"")
+    def _ask(self, groups: Collection[str]) -> None:
+        for group in groups:
+            for request in _REQUESTS:
+                if (self.store.root / "progress" / f"{group}.{request}").exists():
+                    self.objects.write(f"progress/{group}.{request}", b"")
+                    self._asked.add(f"progress/{group}.{request}")
 
-    def _hear(self) -> None:
-        names = [n for n in self.objects.sizes("progress") if n.endswith(".json")]
+    def _hear(self, groups: Collection[str]) -> None:
+        names = [f"progress/{group}.json" for group in groups]
         for name, content in self.objects.read_many(names).items():
             report, ours = _value(content), read_json(self.store.root / name)
             if _at(report) > _at(ours):  # a worker on this machine writes here by itself
                 write_text(self.store.root / name, content.decode())
-        stops = [n for n in self.objects.sizes("drivers") if n.endswith(".stop")]
-        for name, content in self.objects.read_many(stops).items():
-            write_text(self.store.root / name, content.decode(errors="replace"))
-            self.objects.delete([name])
+        record, content = (
+            read_driver(self.store.root, self._sweep),
+            self.objects.read(self._request),
+        )
+        if record is not None and content == record.id.encode():
+            write_text(self.store.root / self._request, record.id)
+            self.objects.delete([self._request])
 
-    def last(self) -> None:
-        """Sends what is left."""
-        self._tell()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Sends what is left, when no look can send an older version after it."""
+        super().__exit__(kind, error, trace)
+        with suppress(StoreError, OSError):
+            if self._begun and self._claims.take([sweep_claim(self._sweep)], wait=False):
+                self._tell()
+                self.objects.delete(self._asked)  # a look may have sent one after its call's end
+
+
+def sweep_claim(name: str) -> str:
+    """What the driver of a sweep claims."""
+    return f"sweep-{name}"
+
+
+def _version(file: Path) -> tuple[int, int] | None:
+    """Another one for every file that was renamed into this place; None if there is none."""
+    with suppress(OSError):
+        status = file.stat()
+        return status.st_ino, status.st_mtime_ns
+    return None
 
 
 def _newest(folder: Path) -> int:

@@ -9,7 +9,7 @@ Locks hold on this machine by the kernel and between machines by claims of drive
 
 import dataclasses
 import secrets
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,20 +17,21 @@ from typing import Any
 from components.core.files import write_text
 from components.core.integrity import DamagedFileError, describe_files
 from components.core.sealed import manifest_digest
+from flows.pipeline.driver import is_driven
 from flows.pipeline.errors import PipelineError, StoreError
 from flows.pipeline.locks import locked
-from flows.pipeline.remote.courier import DriverCourier, WorkerCourier
+from flows.pipeline.remote.courier import DriverCourier, WorkerCourier, sweep_claim
 from flows.pipeline.remote.folders import Folder
 from flows.pipeline.remote.places import address_of
 from flows.pipeline.remote.shared_artifacts import SharedArtifacts
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import sweep_files
 from flows.pipeline.work import Work
 
 __all__ = ["SharedStore", "store_at"]
 
 _SHARED = "shared:"  # begins the name of a folder that has travelled
 _STAYS = ("ready.json", "out")  # of a work folder: half-made outputs
-_RECORDS = ("sweeps", "drivers")
 
 
 class SharedStore(SharedArtifacts):
@@ -52,6 +53,7 @@ class SharedStore(SharedArtifacts):
         """
         super().__init__(url, owner, drives=drives, root=root)
         self._sent: dict[str, str] = {}
+        self._groups: set[str] = set()  # of calls that were sent and have not come back
         self._begun: dict[str, Folder] | None = None  # lists of work, as a driver has found them
 
     def fetch(self, keys: Iterable[str]) -> None:
@@ -135,6 +137,7 @@ class SharedStore(SharedArtifacts):
         Raises:
             StoreError: the shared store does not answer or cannot be written.
         """
+        self._groups.add(call.group)
         nodes = tuple(
             {**node, "folders": {role: self._send(path) for role, path in node["folders"].items()}}
             for node in call.nodes
@@ -182,6 +185,7 @@ class SharedStore(SharedArtifacts):
         """Removes a call's report and requests, see :meth:`ArtifactStore.clear_progress`."""
         super().clear_progress(group)
         if self.drives:
+            self._groups.discard(group)  # first: a look must not send an old request again
             ends = ("json", "stop", "pause")
             self.objects.delete(f"progress/{group}.{end}" for end in ends)
 
@@ -193,25 +197,26 @@ class SharedStore(SharedArtifacts):
             PipelineError: another one does.
             StoreError: the shared store does not answer or cannot be written.
         """
-        sweep = f"sweep-{name}"
+        sweep = sweep_claim(name)
         self._claims.beat()
         try:
-            with DriverCourier(self.objects, self, self._claims.beat) as courier:
+            with DriverCourier(self.objects, self, name, self._claims, self._groups) as courier:
                 if not self._claims.outlive(sweep):
                     raise PipelineError(
                         f"Another process is running the sweep {name!r} in {self.url} "
                         f"({self._claims.holder(sweep)}): wait for it, stop it, or give this sweep "
                         "another name."
                     )
+                courier.begin()
                 self._mends = True
                 self.fetch(self._doubtful)
                 try:
                     yield
                 finally:
                     with suppress(StoreError, OSError):
-                        courier.last()
-                        for folder in (f"reports/{name}", "tracking"):
-                            self.push_files(folder)
+                        for group in sorted(self._groups):  # of calls that have not come back
+                            self.clear_progress(group)
+                        self.push_files(f"reports/{name}", f"tracking/{name}.jsonl")
         finally:
             with suppress(StoreError):
                 self._claims.end()
@@ -221,34 +226,52 @@ class SharedStore(SharedArtifacts):
     def look_again(self) -> None:
         """Brings the records of sweeps and drivers here, in place of older ones.
 
+        What a driver on this machine writes here stays: it is newer, and is sent from here.
+
         Raises:
             StoreError: the shared store does not answer.
         """
-        names = [n for part in (*_RECORDS, "progress") for n in self.objects.sizes(part)]
+
+        def elsewhere(sweep: str) -> bool:
+            return not is_driven(self.root, sweep)
+
+        for folder in ("sweeps", "drivers"):
+            self._bring_files(folder, elsewhere)
+        if all(elsewhere(file.stem) for file in sweep_files(self.root)):
+            self._bring_files("progress")
+
+    def _bring_files(self, folder: str, wanted: Callable[[str], bool] = lambda name: True) -> None:
+        names = [n for n in self.objects.sizes(folder) if n.endswith(".json")]
         for name, content in self.objects.read_many(names).items():
             path = self.root / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(path, content.decode(errors="replace"))
+            if wanted(path.stem):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_text(path, content.decode(errors="replace"))
 
-    def send_requests(self) -> None:
-        """Sends requests to drivers to stop.
+    def send_request(self, sweep: str) -> None:
+        """Sends a request to the driver of a sweep to stop.
 
         Raises:
             StoreError: the shared store does not answer or cannot be written.
         """
-        for request in (self.root / "drivers").glob("*.stop"):
+        request = self.root / "drivers" / f"{sweep}.stop"
+        with suppress(FileNotFoundError):
             self.objects.write(f"drivers/{request.name}", request.read_bytes())
-            request.unlink(missing_ok=True)
+            request.unlink()
 
-    def push_files(self, folder: str) -> None:
-        """Copies the files of a folder of the store, such as a report, into the shared one.
+    def push_files(self, *places: str) -> None:
+        """Copies files of the store, such as those of a report, into the shared one.
+
+        Args:
+            places: Files, or folders whose files are meant, relative to the store.
 
         Raises:
             StoreError: the shared store does not answer or cannot be written.
         """
-        top = self.root / folder
-        files = [path for path in sorted(top.rglob("*")) if path.is_file()]
-        self.objects.upload({path.relative_to(self.root).as_posix(): path for path in files})
+        tops = [self.root / place for place in places]
+        found = (path for top in tops for path in (top, *sorted(top.rglob("*"))))
+        files = {p.relative_to(self.root).as_posix(): p for p in found if p.is_file()}
+        self.objects.upload(files)
 
 
 def store_at(folder: Path, *, create: bool = True, drives: bool = False) -> ArtifactStore:

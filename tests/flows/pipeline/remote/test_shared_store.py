@@ -1,6 +1,7 @@
 """A shared store: the contract of the local one, and what only machines apart can see."""
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -16,11 +17,13 @@ from flows.pipeline.errors import PipelineError, StoreError
 from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
+from flows.pipeline.remote.bringing import glance
 from flows.pipeline.remote.objects import Objects
 from flows.pipeline.remote.places import CACHE, address_of, copy_of
 from flows.pipeline.remote.shared_store import SharedStore, store_at
 from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
 
@@ -251,6 +254,44 @@ def test_a_half_written_checkpoint_leaves_the_former_one(url: str, on: Elsewhere
     write_json(found.path / "checkpoint.json", {"step": 4})
     there.save(found)
     assert len(objects.sizes("work")) == 3  # the list, the members, the checkpoint
+
+
+def test_a_work_folder_that_goes_while_it_is_pushed_is_not_pushed_in_part(
+    url: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = SharedStore(url, "us")
+    work = store.open_work([A])
+    (work.path / "deep").mkdir()
+    write_json(work.path / "deep" / "snapshot.json", {})
+    link = os.link
+
+    def discarded(source: Path, target: Path) -> None:
+        link(source, target)
+        store.discard(work)  # by another process, after the first of its files
+
+    monkeypatch.setattr(os, "link", discarded)
+    store.save(work)
+    store.save(work)  # of which nothing is left
+    assert not Objects(url).sizes("work")
+
+
+def test_who_looks_sees_what_was_made_again_or_taken_away(url: str, on: Elsewhere) -> None:
+    here = SharedStore(url, "us")
+    make(here, A, "first")
+    make(here, B)
+    SweepRecord("sweep", "it", {A: "a", B: "b"}).save(here.root)
+    here.push_files("sweeps")
+    on("elsewhere")
+    glance(copy_of(url))
+    on("here")
+    for key in (A, B):
+        Objects(url).delete(Objects(url).sizes(f"nodes/{key}"))
+    shutil.rmtree(here.path(A))
+    make(here, A, "second")
+    on("elsewhere")
+    there = glance(copy_of(url))
+    assert (there.path(A) / "deep" / "file").read_text() == "second"
+    assert not there.path(B).exists()
 
 
 def test_a_folder_outside_the_store_travels(url: str, on: Elsewhere, tmp_path: Path) -> None:
