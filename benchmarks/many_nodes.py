@@ -44,7 +44,7 @@ class Cost:
         nodes: How many.
         wall: Seconds.
         processor: Of these the driver's own seconds on a processor.
-        found: Seconds of the same plan again, everything finished.
+        found: Seconds on a processor of the same plan again, everything finished.
         memory: The driver's greatest, in MiB.
         listed: Seconds until a real server has answered what its pages ask; empty without MLflow.
     """
@@ -82,13 +82,13 @@ def cost_of_nodes(nodes: int, executor: str, tracker: str, folder: Path) -> Cost
         run_empty(plan, store, recorded, computes())
         wall, processor = time.perf_counter() - begun, time.process_time() - used
         recorded.close("FINISHED")
-        begun = time.perf_counter()
+        used = time.process_time()
         if tracker == "mlflow":
             recorded = MlflowTracker(store.root, source="bench")
         recorded.open("empty", plan=plan)
         run_empty(plan, store, recorded, computes())
         recorded.close("FINISHED")
-        found = time.perf_counter() - begun
+        found = time.process_time() - used
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         listed = {} if tracker == "none" else _listing(store.root)
     return Cost(nodes, wall, processor, found, memory, listed)
@@ -138,7 +138,7 @@ def report(nodes: list[int], executor: str, tracker: str) -> str:
         "nodes",
         "ms per node",
         "of the driver's processor",
-        "found again",
+        "to find it again",
         "MiB",
         "pages, s",
     ]
