@@ -6,6 +6,7 @@ Two machines: `here` has a sound copy or has just made it, `there` has none and 
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from itertools import count
 from pathlib import Path
 
@@ -131,6 +132,9 @@ def test_what_has_been_made_outlives_a_damaged_one_in_its_place(twins: Twins, da
     expected = "first" if damage == "none" else "second"
     for _ in cuts(begin, publish_made):
         assert twins.look() in ((expected,) if damage == "none" else (expected, None))
+        if (twins.objects.read(f"nodes/{A}/other") or b"").startswith(b"second"):
+            record = twins.objects.read(f"nodes/{A}/{RECORD}")
+            assert record is None or json.loads(record)["text"] == "second"
         again = twins.store("here")
         publish_made(again)
         again.fetch([A])
@@ -260,6 +264,21 @@ def test_what_another_one_is_making_is_left_to_it(twins: Twins) -> None:
         assert (us.work / "made").exists()
     us.publish(us.work / "made", A)
     assert (text_of(us), twins.look()) == ("ours", "ours")
+
+
+def test_what_came_before_one_could_mend_stays(twins: Twins) -> None:
+    published(twins.store("here"), "first")
+    twins.damage("lost")
+    here = twins.store("here")
+    alone = here._claims.alone
+
+    def after_another(key: str) -> AbstractContextManager[bool]:
+        published(twins.store("elsewhere"), "second")
+        return alone(key)
+
+    here._claims.alone = after_another  # type: ignore[method-assign]
+    here.fetch([A])
+    assert twins.look() == "second"
 
 
 def test_only_the_one_that_was_judged_is_taken_away(twins: Twins) -> None:
