@@ -7,7 +7,8 @@ import pandas as pd
 from components.reporting.agreement import agreement_table, correlation_rows, domain_of
 from components.reporting.evidence import Evidence
 from components.reporting.frame import asked_for, html_table, rendered, total_hours
-from components.reporting.glossary import GLOSSARY
+from components.reporting.glossary import GLOSSARY, JUDGED_TERMS
+from components.reporting.judged_page import judged_content, judged_data
 from components.reporting.overview import Column, Value, shown
 from components.reporting.page_data import page_data
 from components.reporting.verdicts import verdicts
@@ -23,6 +24,7 @@ PARTS: Final = (
     ("curves", "Training curves"),
     ("ranking", "Logs"),
     ("selection", "Selection"),
+    ("judged", "Logs without a system"),
     ("costs", "Costs"),
     ("differences", "Repeat it"),
     ("glossary", "Glossary"),
@@ -45,13 +47,14 @@ def page(evidence: Evidence) -> str:
     differences = evidence.differences
     return rendered(
         "page.html.j2",
-        ["page.js"],
-        page_data(evidence, agreement),
-        evidence.algorithms,
+        ["page.js", "judged.js"] if evidence.judged else ["page.js"],
+        page_data(evidence, agreement) | {"judged": judged_data(evidence.judged)},
+        evidence.labels,
         title=f"Offline RL report: {', '.join(evidence.sweeps)}",
         asked=asked_for(evidence.sweeps),
         budget=evidence.budget,
-        parts=PARTS,
+        parts=[part for part in PARTS if part[0] != "judged" or evidence.judged],
+        judged=judged_content(evidence.judged),
         verdicts=verdicts(evidence),
         logs=evidence.logs,
         lines=_LINES,
@@ -78,7 +81,7 @@ def page(evidence: Evidence) -> str:
         few=len(differences) <= _FEW,
         notes=evidence.notes,
         gaps=evidence.gaps,
-        glossary=GLOSSARY,
+        glossary=[*GLOSSARY, *JUDGED_TERMS] if evidence.judged else GLOSSARY,
     )
 
 
