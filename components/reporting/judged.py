@@ -167,13 +167,11 @@ def choices(policies: pd.DataFrame) -> list[Choice]:
             with the errors of the behaviour policy's estimates and the ``run`` of each.
     """
     best = policies.sort_values(f"score_{DEFAULT_SCORE}", ascending=False, kind="stable")
-    runs = {
-        pair: str(own["run"].iloc[0])
-        for pair, own in best.groupby(["algorithm", "proximity"], dropna=False, sort=False)
-    }
-    by_run = {(str(a), _known(p)): run for (a, p), run in runs.items()}
+    runs: dict[tuple[str, float | None], str] = {}
+    for row in best[["algorithm", "proximity", "run"]].itertuples(index=False):
+        runs.setdefault((row.algorithm, _known(row.proximity)), row.run)
     table = selection_table(policies.drop(columns="run"), DEFAULT_SCORE)
-    return [_choice(row, by_run) for row in table.to_dict("records")]
+    return [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
 
 
 def _choice(row: Mapping[str, float], runs: Mapping[tuple[str, float | None], str]) -> Choice:

@@ -15,6 +15,7 @@ from components.reporting.verdicts import verdicts
 
 __all__ = ["PARTS", "page"]
 
+_JUDGED: Final[str] = "judged"
 PARTS: Final = (
     ("verdicts", "In plain words"),
     ("results", "Results"),
@@ -24,7 +25,7 @@ PARTS: Final = (
     ("curves", "Training curves"),
     ("ranking", "Logs"),
     ("selection", "Selection"),
-    ("judged", "Logs without a system"),
+    (_JUDGED, "Logs without a system"),
     ("costs", "Costs"),
     ("differences", "Repeat it"),
     ("glossary", "Glossary"),
@@ -53,7 +54,7 @@ def page(evidence: Evidence) -> str:
         title=f"Offline RL report: {', '.join(evidence.sweeps)}",
         asked=asked_for(evidence.sweeps),
         budget=evidence.budget,
-        parts=[part for part in PARTS if part[0] != "judged" or evidence.judged],
+        parts=[(part, name) for part, name in PARTS if evidence.judged or part != _JUDGED],
         judged=judged_content(evidence.judged),
         verdicts=verdicts(evidence),
         logs=evidence.logs,

@@ -67,6 +67,7 @@ def promise(log: JudgedLog) -> Promise:
         return Promise(log.name, "none", headline, [*said, *log.progress], log.doubts, first)
     judgement, headline = _judge(log, best)
     start = _start(log, best)
+    tried = bool(start.run) and not log.doubts and (start.proximity is not None or _agreed(start))
     return Promise(
         log.name,
         judgement,
@@ -74,7 +75,7 @@ def promise(log: JudgedLog) -> Promise:
         [*_chosen(log, best), *log.progress],
         [*warnings, *_higher(log, best)],
         _first(log, best, start),
-        "" if log.doubts else start.run,
+        start.run if tried else "",
     )
 
 
@@ -215,6 +216,8 @@ def _first(log: JudgedLog, best: Choice, start: Choice) -> list[str]:
         ]
     outside = f"{_percent(start.outside)} of the steps outside of what the log has seen"
     expected = f"{_expectations(log, start)}, {outside}"
+    if start.proximity is None and not _agreed(start):
+        return [f"Nothing yet: the judges do not agree that {start.name} is a gain ({expected})."]
     if start.proximity is None:
         return [
             f"Try {start.name} ({expected}) for a short time and under supervision: it has no λ "
@@ -223,12 +226,15 @@ def _first(log: JudgedLog, best: Choice, start: Choice) -> list[str]:
     if not _agreed(start):
         return [
             f"There is no λ of {start.algorithm} at which all judges expect a gain. If at all, "
-            f"begin at λ 0, which does what was always done, and go up in small steps."
+            "begin at λ 0, which does what was always done, and go up in small steps."
         ]
+    reason = ""
+    if best.proximity is None:
+        reason = f" {best.name} scores best, but has no λ by which it could be turned down."
     said = [
         f"Begin with {start.name}, the smallest λ that was judged at which "
         f"{'all judges expect' if len(start.gains) > 1 else 'the judge expects'} a gain "
-        f"({expected})."
+        f"({expected}).{reason}"
     ]
     limit = best if best.algorithm == start.algorithm else _limit(log, start)
     if (limit.proximity or 0.0) > start.proximity:
