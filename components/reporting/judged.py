@@ -168,8 +168,8 @@ def choices(policies: pd.DataFrame) -> list[Choice]:
     """
     best = policies.sort_values(f"score_{DEFAULT_SCORE}", ascending=False, kind="stable")
     runs: dict[tuple[str, float | None], str] = {}
-    for row in best[["algorithm", "proximity", "run"]].itertuples(index=False):
-        runs.setdefault((row.algorithm, _known(row.proximity)), row.run)
+    for name, place, run in zip(best["algorithm"], best["proximity"], best["run"], strict=True):
+        runs.setdefault((str(name), _known(float(place))), str(run))
     table = selection_table(policies.drop(columns="run"), DEFAULT_SCORE)
     return [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
 

@@ -66,16 +66,15 @@ def promise(log: JudgedLog) -> Promise:
         headline = "Leave it as it is"
         return Promise(log.name, "none", headline, [*said, *log.progress], log.doubts, first)
     judgement, headline = _judge(log, best)
-    start = _start(log, best)
-    tried = bool(start.run) and not log.doubts and (start.proximity is not None or _agreed(start))
+    first, run = _first(log, best)
     return Promise(
         log.name,
         judgement,
         headline,
         [*_chosen(log, best), *log.progress],
         [*warnings, *_higher(log, best)],
-        _first(log, best, start),
-        start.run if tried else "",
+        first,
+        run,
     )
 
 
@@ -206,37 +205,37 @@ def _agreed(choice: Choice) -> bool:
     return all(gain.value > 0.0 for gain in choice.gains.values())
 
 
-def _first(log: JudgedLog, best: Choice, start: Choice) -> list[str]:
-    """How to begin on the plant."""
+def _first(log: JudgedLog, best: Choice) -> tuple[list[str], str]:
+    """How to begin on the plant, and the run of the policy to begin with; empty for none."""
     if log.doubts:
         return [
             "Nothing yet: judges that do not know what the log itself has earned know no policy. "
             "Fit them longer (model.recurrent_ensemble.updates, judging.estimates.updates) or with "
-            "more episodes, and give the sweep's command again."
-        ]
+            "more episodes, and judge again."
+        ], ""
+    start = _start(log, best)
     outside = f"{_percent(start.outside)} of the steps outside of what the log has seen"
     expected = f"{_expectations(log, start)}, {outside}"
-    if start.proximity is None and not _agreed(start):
-        return [f"Nothing yet: the judges do not agree that {start.name} is a gain ({expected})."]
+    if not _agreed(start):
+        said = [f"Nothing yet: the judges do not agree that {start.name} is a gain ({expected})."]
+        if start.proximity is not None:
+            said.append(
+                f"If {start.algorithm} at all, then from λ 0, which does what was always done, up "
+                "in small steps."
+            )
+        return said, ""
     if start.proximity is None:
         return [
             f"Try {start.name} ({expected}) for a short time and under supervision: it has no λ "
             "by which it could be turned down, it can only be switched off."
-        ]
-    if not _agreed(start):
-        return [
-            f"There is no λ of {start.algorithm} at which all judges expect a gain. If at all, "
-            "begin at λ 0, which does what was always done, and go up in small steps."
-        ]
-    reason = ""
-    if best.proximity is None:
-        reason = f" {best.name} scores best, but has no λ by which it could be turned down."
+        ], start.run
+    all_judges = "all judges expect" if len(start.gains) > 1 else "the judge expects"
     said = [
-        f"Begin with {start.name}, the smallest λ that was judged at which "
-        f"{'all judges expect' if len(start.gains) > 1 else 'the judge expects'} a gain "
-        f"({expected}).{reason}"
+        f"Begin with {start.name}, the smallest judged λ at which {all_judges} a gain ({expected})."
     ]
-    limit = best if best.algorithm == start.algorithm else _limit(log, start)
+    if best.proximity is None:
+        said.append(f"{best.name} scores best, but has no λ by which it could be turned down.")
+    limit = next(c for c in log.choices if c.algorithm == start.algorithm)  # of its best score
     if (limit.proximity or 0.0) > start.proximity:
         said.append(
             "Then go up in steps, and only as long as the plant itself shows the gain; the judge "
@@ -244,12 +243,7 @@ def _first(log: JudgedLog, best: Choice, start: Choice) -> list[str]:
         )
     else:
         said.append("The judge would go no further.")
-    return said
-
-
-def _limit(log: JudgedLog, start: Choice) -> Choice:
-    """What scores best of an algorithm."""
-    return next(c for c in log.choices if c.algorithm == start.algorithm)
+    return said, start.run
 
 
 def _percent(share: float) -> str:
