@@ -7,8 +7,7 @@ import pandas as pd
 from components.reporting.agreement import agreement_table, correlation_rows
 from components.reporting.evidence import Evidence
 from components.reporting.glossary import JUDGED_GLOSSARY
-from components.reporting.judged import Judged, JudgedLog
-from components.reporting.judged_table import choice_table, digits_of
+from components.reporting.judged import Judged, JudgedLog, choice_table, digits_of
 from components.reporting.overview_text import latex_overview, markdown_overview
 from components.reporting.promises import promise
 from components.reporting.ranking import markdown

@@ -1,15 +1,38 @@
-"""Policies that were judged from a log alone, as a report shows them: what it is made of."""
+"""Policies that were judged from a log alone, as a report shows them: what can be chosen."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE
 from components.reporting.selection import selection_table
 
-__all__ = ["Choice", "Gain", "Judged", "JudgedLog", "Returns", "algorithms_of", "choices"]
+__all__ = [
+    "Choice",
+    "Gain",
+    "Judged",
+    "JudgedLog",
+    "Returns",
+    "algorithms_of",
+    "choice_table",
+    "choices",
+    "digits_of",
+]
+
+_RETURNS: Final = (
+    "score",
+    "gain, ensemble",
+    "±",
+    "least member",
+    "gain, critics",
+    "± ",
+    "promised in training",
+)
+"""Columns of returns; two of errors differ by a blank, which nobody sees."""
+_SHARES: Final = ("λ", "outside", "distance")
 
 
 @dataclass(frozen=True)
@@ -172,6 +195,40 @@ def choices(policies: pd.DataFrame) -> list[Choice]:
         runs.setdefault((str(name), _known(float(place))), str(run))
     table = selection_table(policies.drop(columns="run"), DEFAULT_SCORE)
     return [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
+
+
+def choice_table(log: JudgedLog) -> pd.DataFrame:
+    """A row per choice, best first; columns in which nothing is known are left out."""
+    unknown = float("nan")
+    rows = [
+        {
+            "policy": choice.algorithm,
+            "λ": choice.proximity,
+            "policies": choice.policies,
+            "score": choice.score,
+            "gain, ensemble": choice.model.value if choice.model else unknown,
+            "±": choice.model.error if choice.model else unknown,
+            "least member": choice.sceptical,
+            "gain, critics": choice.critics.value,
+            "± ": choice.critics.error,
+            "outside": choice.outside,
+            "distance": choice.distance,
+            "promised in training": choice.promised,
+        }
+        for choice in log.choices
+    ]
+    numbers = {name: float for name in (*_RETURNS, *_SHARES)}
+    table: pd.DataFrame = pd.DataFrame(rows).astype(numbers).dropna(axis="columns", how="all")
+    return table
+
+
+def digits_of(log: JudgedLog) -> dict[str, int]:
+    """Decimals of its columns of numbers."""
+    return {
+        "policies": 0,
+        **dict.fromkeys(_RETURNS, log.decimals),
+        **dict.fromkeys(_SHARES, 2),
+    }
 
 
 def _choice(row: Mapping[str, float], runs: Mapping[tuple[str, float | None], str]) -> Choice:

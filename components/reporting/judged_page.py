@@ -5,8 +5,7 @@ from typing import Any, Final
 
 from components.reporting.frame import asked_for, html_table, rendered, total_hours
 from components.reporting.glossary import JUDGED_GLOSSARY
-from components.reporting.judged import Choice, Judged, JudgedLog
-from components.reporting.judged_table import choice_table, digits_of
+from components.reporting.judged import Choice, Judged, JudgedLog, choice_table, digits_of
 from components.reporting.page_data import colours, plain
 from components.reporting.promises import FAR, promise
 

@@ -107,24 +107,26 @@ def _judge(log: JudgedLog, best: Choice) -> tuple[Judgement, str]:
 
 def _chosen(log: JudgedLog, best: Choice) -> list[str]:
     """What would be chosen, and by how much it is expected to be better."""
-    share, mean = "", ""
+    share, mean, expected = "", "", best.expected
     if log.returns is not None and log.returns.mean:
-        part = best.expected.value / abs(log.returns.mean)
+        part = expected.value / abs(log.returns.mean)
         share = f", {part:.0%} of the {_plain(log, log.returns.mean)} in the log"
     if best.policies > 1:
         mean = f", in the mean of its {best.policies} policies"
     said = [
         f"From the log alone the judge would choose {best.name}. It is expected to return "
-        f"{_gain(log, best.expected)} more than the logged behaviour{share}{mean}."
+        f"{_plain(log, expected.value)} ± {_plain(log, expected.error)} more than the logged "
+        f"behaviour{share}{mean}."
     ]
     if best.model is None:
         said.append("No ensemble was fitted to this log: fitted critics judge alone.")
     else:
         said.append(f"That is by the ensemble; fitted critics expect {_gain(log, best.critics)}.")
     if best.sceptical is not None:
-        word = "Even by" if best.sceptical > 0.0 else "By"
         value = with_sign(log, best.sceptical)
-        said.append(f"{word} the least favourable members of the ensemble it is {value}.")
+        said.append(f"By the ensemble's least favourable member for either it is {value}.")
+    if best.policies == 1:
+        said.append("It was trained once: with another seed it may come out otherwise.")
     if best.outside < FAR:
         said.append(
             f"{_percent(best.outside)} of its steps lie outside of what the log has seen "
@@ -242,7 +244,7 @@ def _first(log: JudgedLog, best: Choice) -> tuple[list[str], str]:
             f"would not go beyond λ {limit.proximity:.2f}."
         )
     else:
-        said.append("The judge would go no further.")
+        said.append(f"With {start.algorithm} the judge would go no further.")
     return said, start.run
 
 

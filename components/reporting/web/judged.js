@@ -62,8 +62,8 @@ function drawJudged(log, number) {
     xaxis: axis(onDial ? "proximity λ" : "", onDial ? { range: [-0.02, 1.02], anchor: "y2" } : { type: "category", anchor: "y2" }),
     yaxis: axis("expected gain", { domain: [0.36, 1], range: limits }),
     yaxis2: axis("outside the log", { domain: [0, 0.26], range: [-0.03, 1.03], tickformat: ".0%" }),
-    shapes, annotations: [...(onDial ? edgeNames(levels, limits, 0.64, "y") : []), { text: "warning", x: 0, xref: "paper", xanchor: "left", xshift: 4,
-      y: log.far, yref: "y2", yanchor: "bottom", showarrow: false, font: { size: narrow() ? 9.5 : 11, color: GREY } }],
+    shapes, annotations: [...(onDial ? edgeNames(levels, limits, 0.64, "y") : []), { text: "warning", x: onDial ? 1 : 0, xref: "paper", xanchor: "left", xshift: 4,
+      y: log.far, yref: "y2", yanchor: onDial ? "middle" : "bottom", showarrow: false, font: { size: narrow() ? 9.5 : 11, color: GREY } }],
   }));
 }
 

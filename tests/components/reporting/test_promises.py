@@ -33,11 +33,12 @@ def test_choices_stand_for_all_seeds_and_name_the_best_one() -> None:
 def test_a_trial_begins_at_the_smallest_hopeful_lambda() -> None:
     told = promise(log())
     assert (told.judgement, told.headline) == ("gain", "Worth a careful trial")
-    assert "the judge would choose td3_bc. It is expected to return +16.0 ± 1.0 more" in words(told)
+    assert "the judge would choose td3_bc. It is expected to return 16.0 ± 1.0 more" in words(told)
     assert "23% of the -70.0 in the log, in the mean of its 2 policies." in words(told)
+    assert "trained once" not in words(told)
     assert told.first[0].startswith("Begin with lion at λ 0.10, the smallest judged λ")
     assert "td3_bc scores best, but has no λ" in told.first[1]
-    assert told.first[2] == "The judge would go no further."
+    assert told.first[2] == "With lion the judge would go no further."
     assert told.run == "lion/timid/seed0"
     [differ, tempting] = told.warnings
     assert differ.startswith("The judges differ on td3_bc by more than their errors")
@@ -49,7 +50,7 @@ def test_lambda_is_raised_no_further_than_the_judge_would() -> None:
     assert told.first[0].startswith("Begin with lion at λ 0.10,")
     assert told.first[1].endswith("the judge would not go beyond λ 0.40.")
     told = dial((0.1, 3, 3, 0.01))
-    assert told.first[1] == "The judge would go no further."
+    assert told.first[1] == "With lion the judge would go no further."
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def test_judges_that_do_not_know_the_log_advise_nothing() -> None:
 
 def test_critics_judge_alone_where_there_is_no_ensemble() -> None:
     told = promise(without_ensemble())
-    assert "+12.0 ± 1.0 more than the logged behaviour" in words(told)
+    assert "12.0 ± 1.0 more than the logged behaviour" in words(told)
     assert "No ensemble was fitted to this log" in words(told)
     assert "least favourable" not in words(told)
 
@@ -114,7 +115,9 @@ def test_what_is_unfinished_or_has_diverged_is_said() -> None:
     assert (told.judgement, told.headline) == ("unknown", "No judgement")
 
 
-@pytest.mark.parametrize(("size", "says"), [(7e6, "+2,000,000 ±"), (0.0007, "+0.000200 ±")])
+@pytest.mark.parametrize(
+    ("size", "says"), [(7e6, "return 2,000,000 ±"), (0.0007, "return 0.000200 ±")]
+)
 def test_numbers_are_as_long_as_the_logs_returns_need(size: float, says: str) -> None:
     rows = {"td3_bc": [(NAN, 2 / 7 * size, 2 / 7 * size, 0.01)]}
     assert says in words(promise(log(rows, returns=Returns(-size, -size, -size))))
