@@ -71,7 +71,7 @@ def _run(settings: Settings) -> int:
         shown = current_report(folder, plan, ArtifactStore(settings.store), about)
         for line in shown.lines(window_width()):
             print(line)
-        if shown.table is not None:
+        if shown.has_page:
             print(f"\nAll numbers and figures: {folder}/")
             print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
         return shown.files, shown.headline

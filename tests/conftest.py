@@ -33,6 +33,7 @@ TOGETHER = {
     "tests/components/reporting/test_page.py": "a browser",
     "tests/flows/console/test_pages.py": "a console",
     "tests/flows/report/test_report_door.py": "ray",
+    "tests/flows/report/test_judged_report.py": "a judged sweep",
     "tests/flows/pipeline/tracking/test_mlflow_tracker.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_places.py": "an empty database",
     "tests/flows/pipeline/tracking/test_mlflow_refusals.py": "an empty database",

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from components.aggregation.across import Estimate, Ranks
+from components.reporting.judged import JudgedLog, algorithms_of
 from components.reporting.overview import Column, Overview
 from components.reporting.thesis_numbers import Thesis
 
@@ -131,6 +132,7 @@ class Evidence:
         ranking: The table of :mod:`flows.rank_datasets`, if it was run on these datasets.
         selection: The policies that judges would choose from the logs alone, if they were asked.
         judges: How well they ranked the policies, where true returns are known.
+        judged: Logs without a real system, whose policies were judged and never tried.
         across: Algorithms compared over datasets; None if too little is finished.
         budget: Profile and seeds, for titles.
     """
@@ -148,6 +150,7 @@ class Evidence:
     ranking: pd.DataFrame | None = None
     selection: pd.DataFrame | None = None
     judges: pd.DataFrame | None = None
+    judged: Sequence[JudgedLog] = ()
     across: Across | None = None
     budget: str = ""
 
@@ -155,6 +158,11 @@ class Evidence:
     def algorithms(self) -> list[str]:
         """Labels in the order of the table."""
         return list(dict.fromkeys(column.algorithm for column in self.table.columns))
+
+    @property
+    def labels(self) -> list[str]:
+        """Of all algorithms, also of those that were judged alone."""
+        return list(dict.fromkeys([*self.algorithms, *algorithms_of(self.judged)]))
 
     def comparable_on(self, dataset: str) -> list[Cell]:
         """Those of a dataset's finished cells that may be compared with each other."""

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-__all__ = ["GLOSSARY"]
+__all__ = ["GLOSSARY", "JUDGED_GLOSSARY", "JUDGED_TERMS"]
 
 GLOSSARY: Final = (
     ("log, dataset", "What was recorded while a controller ran the machine: states, actions and "
@@ -36,3 +36,45 @@ GLOSSARY: Final = (
     ("Spearman's correlation", "Whether two lists have the same order: 1 the same, 0 unrelated, −1 "
      "reversed."),
 )  # fmt: skip
+
+JUDGED_TERMS: Final = (
+    ("judged from the log alone", "Estimated from recorded data, without running the policy "
+     "anywhere. Judges see a part of the log that the policies have not learned from; of what is "
+     "in neither part they know nothing."),
+    ("ensemble", "Several networks, fitted to the judges' part of the log, that predict what "
+     "follows. Policies are run in all of them; where they disagree, the error is large. Where the "
+     "log is silent, they may agree and all be wrong."),
+    ("least member", "The gain by the networks of the ensemble that give the least."),
+    ("critics", "Networks that predict a policy's return from logged steps alone (fitted Q "
+     "evaluation): another way to judge, with other mistakes."),
+    ("expected gain", "A judge's estimate of a policy's return, less its estimate for the "
+     "behaviour that the log shows. More than 0 is better than what was done."),
+    ("±", "One standard error, of the policy's estimate and the behaviour's together: over a "
+     "judge's networks and the states in which it starts. It does not know what all judges have in "
+     "common, so the truth may lie much further away."),
+    ("outside (of the log's support)", "The share of a policy's steps in the ensemble whose state "
+     "and action are less like anything in the log than nearly all of what is familiar. There "
+     "nobody knows what happens."),
+    ("score", "By which choices are ordered: the gain by the ensemble (by the critics where there "
+     "is none), less a price for steps outside of the log. Above 0: better than the behaviour."),
+    ("distance", "How far a policy's actions are from the logged behaviour's, on average, each "
+     "action scaled to -1 to 1."),
+    ("promised in training", "The gain in the model that the policy was trained in. It was chosen "
+     "to please that model, so this is no judgement; much more than the judges expect is a bad "
+     "sign."),
+)  # fmt: skip
+"""Of policies that were judged and never tried."""
+
+_SHARED: Final = ("log, dataset", "policy", "seed")
+
+JUDGED_GLOSSARY: Final = (
+    *(entry for entry in GLOSSARY if entry[0] in _SHARED),
+    ("return", "The sum of the rewards of an episode's first steps, later ones discounted. More "
+     "is better."),
+    ("logged behaviour", "What the log shows: who or what set the actions then. In comparisons its "
+     "part is taken by a policy that imitates it."),
+    ("λ (proximity)", "A knob of some policies, set while the machine runs: 0 does what was always "
+     "done, 1 what the model thinks best."),
+    *JUDGED_TERMS,
+)  # fmt: skip
+"""Of a page on nothing but these."""

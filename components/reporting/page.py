@@ -1,24 +1,21 @@
-"""The report as one HTML page: numbers, figures and scripts inside, no request leaves it."""
+"""The report of policies that were tried, as one HTML page."""
 
-import json
-from collections.abc import Mapping
-from importlib import resources
 from typing import Any, Final
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from components.reporting.agreement import agreement_table, correlation_rows, domain_of
 from components.reporting.evidence import Evidence
-from components.reporting.glossary import GLOSSARY
+from components.reporting.frame import asked_for, html_table, rendered, total_hours
+from components.reporting.glossary import GLOSSARY, JUDGED_TERMS
+from components.reporting.judged_page import judged_content, judged_data
 from components.reporting.overview import Column, Value, shown
-from components.reporting.page_data import colours, page_data
+from components.reporting.page_data import page_data
 from components.reporting.verdicts import verdicts
 
 __all__ = ["PARTS", "page"]
 
+_JUDGED: Final[str] = "judged"
 PARTS: Final = (
     ("verdicts", "In plain words"),
     ("results", "Results"),
@@ -28,6 +25,7 @@ PARTS: Final = (
     ("curves", "Training curves"),
     ("ranking", "Logs"),
     ("selection", "Selection"),
+    (_JUDGED, "Logs without a system"),
     ("costs", "Costs"),
     ("differences", "Repeat it"),
     ("glossary", "Glossary"),
@@ -42,27 +40,22 @@ _LINES: Final = (
 )
 """Switches of what stands below every value."""
 _FEW: Final = 12  # rows that are shown without a click
-_LEAST: Final = 0.01  # number that two decimals can show
 
 
 def page(evidence: Evidence) -> str:
     """The whole page."""
     agreement = agreement_table(evidence)
-    tints = colours(evidence.algorithms)
     differences = evidence.differences
-    template = Environment(
-        loader=PackageLoader("components.reporting", "web"),
-        autoescape=select_autoescape(default=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    ).get_template("page.html.j2")
-    return template.render(
+    return rendered(
+        "page.html.j2",
+        ["page.js", "judged.js"] if evidence.judged else ["page.js"],
+        page_data(evidence, agreement) | {"judged": judged_data(evidence.judged)},
+        evidence.labels,
         title=f"Offline RL report: {', '.join(evidence.sweeps)}",
-        asked=_asked(evidence.sweeps),
+        asked=asked_for(evidence.sweeps),
         budget=evidence.budget,
-        parts=PARTS,
-        algorithms=[{"name": name, "colour": tints[name]} for name in evidence.algorithms],
+        parts=[(part, name) for part, name in PARTS if evidence.judged or part != _JUDGED],
+        judged=judged_content(evidence.judged),
         verdicts=verdicts(evidence),
         logs=evidence.logs,
         lines=_LINES,
@@ -77,41 +70,20 @@ def page(evidence: Evidence) -> str:
         adapts=any(cell.adapts for cell in evidence.cells.values()),
         adapting=list(dict.fromkeys(c.dataset for c in evidence.cells.values() if c.adapts)),
         finished=list(dict.fromkeys(c.dataset for c in evidence.cells.values())),
-        ranking=None if evidence.ranking is None else _table(evidence.ranking),
-        selection=None if evidence.selection is None else _table(evidence.selection),
-        judges=None if evidence.judges is None else _table(evidence.judges),
-        total=_total(evidence.costs),
-        costs=_table(evidence.costs),
-        software=_table(evidence.software),
+        ranking=None if evidence.ranking is None else html_table(evidence.ranking),
+        selection=None if evidence.selection is None else html_table(evidence.selection),
+        judges=None if evidence.judges is None else html_table(evidence.judges),
+        total=total_hours(evidence.costs),
+        costs=html_table(evidence.costs),
+        software=html_table(evidence.software),
         sweeps=evidence.sweeps,
-        differences=None if differences.empty else _table(differences),
+        differences=None if differences.empty else html_table(differences),
         changed=len(differences),
         few=len(differences) <= _FEW,
         notes=evidence.notes,
         gaps=evidence.gaps,
-        glossary=GLOSSARY,
-        style=Markup(_read("page.css")),
-        script=Markup(_read("page.js")),
-        plotly=Markup(get_plotlyjs()),
-        # "<" as an escape, so that no text can end the script element.
-        data=Markup(
-            json.dumps(page_data(evidence, agreement), allow_nan=False).replace("<", "\\u003c")
-        ),
+        glossary=[*GLOSSARY, *JUDGED_TERMS] if evidence.judged else GLOSSARY,
     )
-
-
-def _read(name: str) -> str:
-    return resources.files("components.reporting").joinpath("web", name).read_text("utf-8")
-
-
-def _script_json(value: Any) -> Markup:
-    """JSON inside a script element; "<" is an escape there, so that no text can end the element."""
-    return Markup(json.dumps(value, allow_nan=False).replace("<", "\\u003c"))
-
-
-def _asked(sweeps: Mapping[str, str]) -> str:
-    """The sweeps as the door's command line has them."""
-    return next(iter(sweeps)) if len(sweeps) == 1 else f"[{','.join(sweeps)}]"
 
 
 def _domains(evidence: Evidence) -> list[dict[str, Any]]:
@@ -193,28 +165,3 @@ def _across(evidence: Evidence) -> dict[str, Any] | None:
         said += f"Friedman's test: p = {ranks.p_value:.2g}. "
     said += f"Mean ranks less than {ranks.critical_difference:.1f} apart (grey) are not told apart."
     return {"datasets": across.datasets, "ranks": said}
-
-
-def _total(costs: pd.DataFrame) -> str:
-    return "" if costs.empty else f"In all {costs['hours'].sum():,.1f} hours of computing."
-
-
-def _table(table: pd.DataFrame) -> Markup:
-    """A table with its columns' names, numbers with few digits; text is escaped."""
-    numbers = {name: pd.api.types.is_numeric_dtype(table[name]) for name in table.columns}
-    kinds = {name: "" if is_number else ' class="text"' for name, is_number in numbers.items()}
-    head = "".join(f"<th{kinds[name]}>{Markup.escape(name)}</th>" for name in table.columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td{kinds[n]}>{_text(row[n])}</td>" for n in table.columns) + "</tr>"
-        for row in table.to_dict("records")
-    )
-    rows = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    return Markup(f'<div class="scroll">{rows}</div>')
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        if value != value:
-            return ""
-        return "&lt; 0.01" if 0 < value < _LEAST else f"{value:,.2f}"
-    return str(Markup.escape(f"{value:,}" if isinstance(value, int) else value))

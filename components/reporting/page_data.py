@@ -34,11 +34,11 @@ def page_data(evidence: Evidence, agreement: pd.DataFrame) -> dict[str, Any]:
         evidence: Of the report.
         agreement: Its cells beside the thesis's.
     """
-    tints = colours(evidence.algorithms)
+    tints = colours(evidence.labels)
     cells = [cell for dataset in evidence.logs for cell in evidence.comparable_on(dataset)]
     return {
         "budget": evidence.budget,
-        "algorithms": [{"name": name, "colour": tints[name]} for name in evidence.algorithms],
+        "algorithms": [{"name": name, "colour": tints[name]} for name in evidence.labels],
         "logs": [{"name": log.name, "level": plain(log.level)} for log in evidence.logs.values()],
         "cells": [_cell(cell) for cell in cells],
         "thesis": [plain(row) for row in agreement.to_dict("records")],

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
+from components.reporting.promises import promise
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.words import fields_of_words
@@ -13,8 +14,9 @@ from flows.pipeline.remote.bringing import bring
 from flows.pipeline.remote.places import address_of
 from flows.pipeline.store import ArtifactStore
 from flows.report.gather import gather
+from flows.report.judged import gather_judged, has_judgements
 from flows.report.stored_nodes import has_cells, sweeps_of
-from flows.report.written import write_files
+from flows.report.written import write_files, write_judged
 
 __all__ = ["ReportSettings", "load_report_settings", "report"]
 
@@ -23,7 +25,7 @@ usage: python -m flows.report [KEY=VALUE ...]
 
 Write the report of a sweep from its stored runs alone, in seconds, also while it is running: what
 is not finished is a gap. Several sweeps stand beside each other. The page needs no network and no
-other file.
+other file. Of a log without a real system it shows what was judged from the log alone.
 
   sweep=NAME        of a sweep in the store, or sweep=[A,B]; may be left out if there is only one
   format=html       or markdown, latex
@@ -80,14 +82,43 @@ def report(settings: ReportSettings) -> int:
     bring(settings.store, settings.sweep)
     store = ArtifactStore(settings.store, create=False)
     names = settings.sweep or _only(store)
-    evidence = gather(store, names)
     folder = settings.out or settings.store / "reports" / "-and-".join(names)
+    if not any(has_cells(store.root, name) for name in names) and any(
+        has_judgements(store.root, name) for name in names
+    ):
+        return _judged(settings, store, names, folder)
+    evidence = gather(store, names)
     files = write_files(folder, evidence, settings.format, figures=settings.figures)
     finished, missing = len(evidence.cells), len(evidence.gaps)
     print(f"{finished} of {finished + missing} cells are finished.")
+    _name(files)
+    return 0
+
+
+def _judged(
+    settings: ReportSettings, store: ArtifactStore, names: Sequence[str], folder: Path
+) -> int:
+    """The report on sweeps whose policies were judged and never tried."""
+    if settings.format == "latex":
+        raise SettingsError(
+            f"format=latex is a table of policies that were tried, and sweep={','.join(names)} has "
+            "judged its policies from their logs alone; format=markdown has the tables of that."
+        )
+    judged = gather_judged(store, names)
+    files = write_judged(folder, judged, settings.format)
+    for log in judged.logs:
+        print(f"{log.name}: {promise(log).headline}. Judged from the log alone, never tried.")
+        for line in log.progress:
+            print(line)
+    if settings.figures:
+        print("figures=true: judged policies have no figures but those of the page.")
+    _name(files)
+    return 0
+
+
+def _name(files: Sequence[Path]) -> None:
     for file in files:
         print(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
-    return 0
 
 
 def _only(store: ArtifactStore) -> tuple[str, ...]:
@@ -96,7 +127,8 @@ def _only(store: ArtifactStore) -> tuple[str, ...]:
     Raises:
         SettingsError: There is none, or there are several.
     """
-    names = [name for name in sweeps_of(store.root) if has_cells(store.root, name)]
+    root = store.root
+    names = [n for n in sweeps_of(root) if has_cells(root, n) or has_judgements(root, n)]
     if len(names) != 1:
         there = f"there are {', '.join(names)}" if names else _none(store)
         raise SettingsError(f"Name a sweep of {store.root}, e.g. sweep=NAME; {there}.")
@@ -105,7 +137,7 @@ def _only(store: ArtifactStore) -> tuple[str, ...]:
 
 def _none(store: ArtifactStore) -> str:
     known = ", ".join(sweeps_of(store.root))
-    return f"none of {known} evaluates policies in a real system" if known else "it has none"
+    return f"none of {known} evaluates or judges policies" if known else "it has none"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Gathers what a report shows from a store: one sweep, or several beside each other."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +9,7 @@ import pandas as pd
 
 from components.data.card import DatasetCard
 from components.reporting.evidence import Cell, Evidence, Gap, Log
+from components.reporting.judged import JudgedLog
 from components.reporting.overview import Column, Overview, overview
 from components.reporting.tables import (
     ended_notes,
@@ -24,6 +24,7 @@ from flows.report.comparison import Comparison, comparable_behaviour, compare
 from flows.report.costs import cost_table, software_table
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.judged import judged_alone, judged_logs, judged_table
 from flows.report.other_tables import judges_of, ranking_of, selection_of
 from flows.report.returns import cell_returns, pooled_snapshots, with_intervals
 from flows.report.software import software_notes
@@ -45,6 +46,7 @@ class _Part:
     cells: Sequence[Cell]
     summaries: Sequence[Mapping[str, Any]]
     gaps: Sequence[Gap]
+    judged: Sequence[JudgedLog]
 
 
 def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
@@ -62,7 +64,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     if not any(part.cells for part in parts):
         if not any(has_cells(store.root, name) for name in names):
             raise SettingsError(
-                f"sweep={','.join(names)} has evaluated no policy in a real system, and the page "
+                f"sweep={','.join(names)} has neither evaluated nor judged policies, and the page "
                 f"is about those; {store.root / 'reports' / names[0]} holds what it has found."
             )
         raise SettingsError(
@@ -96,7 +98,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     notes = [note for part in parts for note in part.comparison.notes]
     data = {n.tags["dataset"]: n.key for part in parts for n in part.sweep.of("data_generation")}
     return Evidence(
-        sweeps={part.sweep.name: _repeatable(part.sweep.command) for part in parts},
+        sweeps={part.sweep.name: part.sweep.repeatable for part in parts},
         logs=shown,
         cells=cells,
         gaps=gaps,
@@ -116,8 +118,11 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         ranking=ranking_of(store.root, data),
         selection=selection_of(store.root, names),
         judges=judges_of(store.root, names),
+        judged=[log for part in parts for log in part.judged],
         across=compare_across(rows, cells, shown),
-        budget=_budget(parts),
+        budget="; ".join(
+            dict.fromkeys(p.sweep.budget(len(cell.seeds) for cell in p.cells) for p in parts)
+        ),
     )
 
 
@@ -126,7 +131,10 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
     suffix = f" · {name}" if several else ""
     aggregations = sweep.of("aggregation")
     logs = {}
+    alone = judged_alone(sweep)
     for node in sweep.of("data_generation"):
+        if node.tags["dataset"] in alone:
+            continue  # nothing can be tried there: such logs have a part of their own
         store.check(node.key, (_CARD,))
         card = DatasetCard.load(store.path(node.key) / _CARD)
         logs[card.name] = _log(card, comparable_behaviour(card, aggregations))
@@ -154,7 +162,8 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
         )
         summaries.append(summary)
     comparison = compare(aggregations)
-    return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix))
+    judged = judged_logs(store, sweep, judged_table(store, sweep), suffix) if alone else []
+    return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix), judged)
 
 
 def _training(aggregation: StoredNode) -> list[StoredNode]:
@@ -211,21 +220,3 @@ def _differences(parts: Sequence[_Part]) -> pd.DataFrame:
     columns = ["sweep", "part", "setting", "here", "paper profile", "datasets"]
     table = pd.DataFrame(rows, columns=columns)
     return table if len(parts) > 1 else table.drop(columns="sweep")
-
-
-def _repeatable(command: str) -> str:
-    """A command without what changes no result: where its runs lie and how they are run."""
-    words = shlex.split(command)
-    return shlex.join(w for w in words if not w.startswith(("store=", "runner.")))
-
-
-def _budget(parts: Sequence[_Part]) -> str:
-    """Profile and seeds of every sweep, for titles."""
-    said = []
-    for part in parts:
-        words = part.sweep.command.split()
-        profile = next((w.partition("=")[2] for w in words if w.startswith("profile=")), "paper")
-        seeds = sorted({len(cell.seeds) for cell in part.cells})
-        count = "–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))) if seeds else "no"
-        said.append(f"profile {profile}, {count} {'seed' if seeds == [1] else 'seeds'}")
-    return "; ".join(dict.fromkeys(said))

@@ -156,7 +156,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
     logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)
-    selection = write_selection(folder, plan, done, store, cards)
+    selection = write_selection(folder, done, store, cards)
     report = Report(
         [*files, *selection.files],
         table,

@@ -20,11 +20,11 @@ from components.data.card import DatasetCard
 from components.judging.judgement import Judgement
 from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
-from flows.pipeline.plan import Node, Plan
+from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.tasks.judging import JUDGEMENT
 
-__all__ = ["NOTHING_JUDGED", "Selection", "judged_policies", "write_selection"]
+__all__ = ["NOTHING_JUDGED", "Selection", "doubts", "judged_policies", "write_selection"]
 
 _QUALITIES: Final = {
     "spearman": 2,
@@ -36,6 +36,8 @@ _QUALITIES: Final = {
     "cleared": 2,
 }
 """Columns of the table of judges that are printed, and their decimals."""
+_USUAL: Final = (*ESTIMATES, "model_error", "fitted_q_error")
+"""What is kept of the behaviour policy's judgement."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,6 @@ NOTHING_JUDGED: Final = Selection()
 
 def write_selection(
     folder: Path,
-    plan: Plan,
     done: Sequence[Node],
     store: ArtifactStore,
     cards: Sequence[DatasetCard],
@@ -67,15 +68,14 @@ def write_selection(
 
     Args:
         folder: Of the report.
-        plan: Of the sweep.
-        done: Its finished nodes.
+        done: The finished nodes of a sweep.
         store: With their artifacts.
         cards: Of the datasets.
 
     Raises:
         DamagedFileError: A judgement is missing or damaged.
     """
-    policies = judged_policies(plan, done, store)
+    policies = judged_policies(done, store)
     if policies.empty:
         return NOTHING_JUDGED
     policies = scored(policies)
@@ -149,12 +149,11 @@ def _blind(judges: pd.DataFrame) -> list[str]:
     return ["", f"{said}{'; '.join(found)}."]
 
 
-def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
+def judged_policies(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
     """All judged policies of finished nodes.
 
     Args:
-        plan: Of the sweep.
-        done: Its finished nodes.
+        done: The finished nodes of a sweep.
         store: With their artifacts.
 
     Returns:
@@ -162,8 +161,14 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
         where it is not taken), all estimates, those of the behaviour policy as ``NAME_usual``,
         ``policy`` (the key by which other commands find it), and ``true_return``, NaN where there
         is no evaluation.
+
+    Raises:
+        DamagedFileError: A judgement or an evaluation is missing or damaged.
     """
-    finished = {node.key for node in done}
+    evaluations: dict[str, Node] = {}
+    for node in done:
+        if node.component == "evaluation":
+            evaluations.setdefault(node.inputs["policy"].key, node)
     parts = []
     for node in done:
         if node.component != "judgement":
@@ -183,18 +188,13 @@ def judged_policies(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> p
             "step": steps.ravel(),
             "proximity": proximities.ravel(),
             **{f.name: found[f.name].ravel() for f in fields(Judgement)},
-            **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in ESTIMATES},
+            **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in _USUAL},
             "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),
         }
-        evaluations = [
-            other
-            for other in plan.dependents(policy.key)
-            if other.component == "evaluation" and other.key in finished
-        ]
-        if evaluations:
+        if policy.key in evaluations:
             columns["true_return"] = _true_returns(
-                evaluations[0], store, found["steps"], found["proximities"]
+                evaluations[policy.key], store, found["steps"], found["proximities"]
             ).ravel()
         parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()

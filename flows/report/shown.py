@@ -22,8 +22,10 @@ from components.reporting.text_table import TextTable
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["Shown", "fingerprint", "read_shown", "save_shown"]
+__all__ = ["SELECTION", "Shown", "fingerprint", "read_shown", "save_shown"]
 
+SELECTION: Final = "selection.csv"
+"""File of the report on judged policies, where there are any."""
 _FILE: Final = "shown.json"
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _CODE: Final = ("components/**/*.py", "components/reporting/**/*.csv", "flows/**/*.py")
@@ -48,6 +50,11 @@ class Shown:
     table: TextTable | None
     below: Sequence[str]
     headline: Mapping[str, Sequence[tuple[int, float]]]
+
+    @property
+    def has_page(self) -> bool:
+        """Whether there is something that a page can show: policies that were tried or judged."""
+        return self.table is not None or any(path.name == SELECTION for path in self.files)
 
     def lines(self, width: int) -> list[str]:
         """What to print.

@@ -1,6 +1,7 @@
 """The nodes of a sweep as its store remembers them, without the settings that planned them."""
 
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,20 @@ class StoredSweep:
     def of(self, component: str) -> list[StoredNode]:
         """The finished nodes of a component."""
         return [node for node in self.done if node.component == component]
+
+    @property
+    def repeatable(self) -> str:
+        """Its command without what changes no result: where its runs lie and how they are run."""
+        words = shlex.split(self.command)
+        return shlex.join(w for w in words if not w.startswith(("store=", "runner.")))
+
+    def budget(self, counts: Iterable[int]) -> str:
+        """Its profile and how many seeds its results have, for titles."""
+        words = self.command.split()
+        profile = next((w.partition("=")[2] for w in words if w.startswith("profile=")), "paper")
+        seeds = sorted(set(counts))
+        count = "–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))) if seeds else "no"
+        return f"profile {profile}, {count} {'seed' if seeds == [1] else 'seeds'}"
 
 
 def sweeps_of(root: Path) -> list[str]:

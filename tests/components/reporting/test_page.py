@@ -12,14 +12,15 @@ from components.reporting.evidence import Log
 from components.reporting.page import PARTS, page
 from tests.browser import Visit, visited
 from tests.components.reporting.evidence import LEVELS, SYSTEM, evidence
+from tests.components.reporting.judged import log
 
-FIGURES = ("thesis", "middles", "profiles", "improvement", "ranks", "lambda", "curves")
+FIGURES = ("judged-0", "thesis", "middles", "profiles", "improvement", "ranks", "lambda", "curves")
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_text(page(evidence()), encoding="utf-8")
+    path.write_text(page(evidence(judged=[log()])), encoding="utf-8")
     assert path.stat().st_size < 10e6
     return path.as_uri()
 
@@ -157,6 +158,7 @@ def test_what_is_missing_is_said() -> None:
     ranked = page(evidence(ranking=pd.DataFrame([{"dataset": "bad-0.4", "eri": 0.75}])))
     assert "<td>0.75</td>" in ranked
     assert "judging.policies=all does it" in text
+    assert "Logs without a" not in text
     rows = pd.DataFrame([{"judge": "critic", "regret": 1.5}])
     assert page(evidence(selection=rows, judges=rows)).count("<td>1.50</td>") == 2
     fixed = evidence()

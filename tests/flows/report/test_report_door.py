@@ -168,13 +168,13 @@ def test_of_several_sweeps_one_has_to_be_named(smoke: SmokeRun, tmp_path: Path) 
         door(f"store={store}")
 
 
-def test_a_sweep_without_a_real_system_is_named(smoke: SmokeRun, tmp_path: Path) -> None:
+def test_a_sweep_that_neither_tries_nor_judges_is_named(smoke: SmokeRun, tmp_path: Path) -> None:
     store = partial_store(smoke, tmp_path)
     (store / "sweeps" / "smoke.json").unlink()
-    SweepRecord("pump", "again", {"0" * 32: "judge/bc/pump/seed0"}).save(store)
-    with pytest.raises(SettingsError, match="none of pump evaluates policies in a real system"):
+    SweepRecord("pump", "again", {"0" * 32: "bc/pump/seed0"}).save(store)
+    with pytest.raises(SettingsError, match="none of pump evaluates or judges policies"):
         door(f"store={store}")
-    with pytest.raises(SettingsError, match=r"no policy in a real system.*reports/pump holds"):
+    with pytest.raises(SettingsError, match=r"neither evaluated nor judged.*reports/pump holds"):
         door(f"store={store}", "sweep=pump")
 
 
