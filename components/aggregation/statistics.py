@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PERCENTILE", "PoolStatistics", "pool_policies", "summarise"]
+__all__ = ["PERCENTILE", "PoolStatistics", "pool_policies", "pooled_snapshots", "summarise"]
 
 PERCENTILE = 10.0
 STANDARD_ERROR_FACTOR = 1.7  # the thesis's factor; exact for a normal is 1.709 (details: README)
@@ -41,6 +41,11 @@ class PoolStatistics:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers by name."""
         return asdict(self)
+
+
+def pooled_snapshots(snapshots: int, fraction: float) -> int:
+    """How many of the last snapshots of a seed are pooled: a fraction of them, at least one."""
+    return max(1, round(fraction * snapshots))
 
 
 def pool_policies(

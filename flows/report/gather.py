@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from components.aggregation.statistics import pooled_snapshots
 from components.data.card import DatasetCard
 from components.reporting.evidence import Cell, Evidence, Gap, Log
 from components.reporting.judged import JudgedLog
@@ -26,7 +27,7 @@ from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
 from flows.report.judged import judged_alone, judged_logs, judged_table
 from flows.report.other_tables import judges_of, ranking_of, selection_of
-from flows.report.returns import cell_returns, pooled_snapshots, with_intervals
+from flows.report.returns import cell_returns, with_intervals
 from flows.report.software import software_notes
 from flows.report.stored_nodes import StoredNode, StoredSweep, has_cells, read_stored_sweep
 
@@ -153,7 +154,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
                 steps=seeds[0].steps,
                 proximities=seeds[0].proximities,
                 returns=np.stack([seed.returns for seed in seeds]),
-                pooled=pooled_snapshots(seeds, fraction),
+                pooled=pooled_snapshots(len(seeds[0].returns), fraction),
                 points=summary["points"],
                 level=logs[summary["dataset"]].level,
                 configurations=[run.key for run in _training(node)],

@@ -9,7 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from components.aggregation.statistics import PoolStatistics, pool_policies, summarise
+from components.aggregation.statistics import (
+    PoolStatistics,
+    pool_policies,
+    pooled_snapshots,
+    summarise,
+)
 from components.core.arrays import load_arrays
 from components.core.integrity import DamagedFileError, load_json
 from components.core.sealed import check_folder, content_digest, read_record
@@ -64,7 +69,7 @@ class Leaderboard:
         check_folder(folder, (_RETURNS, _DATASETS))
         stored = load_arrays(folder / _RETURNS)
         returns = stored["returns"]  # [S, P, trajectories]
-        last = max(1, round(table.config["pool_fraction"] * len(returns)))
+        last = pooled_snapshots(len(returns), table.config["pool_fraction"])
         pool = pool_policies([returns], last)  # [last, P]
         points = [summarise(column) for column in pool.T]
         best = _best(points)

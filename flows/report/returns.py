@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from components.aggregation.intervals import seed_interval
+from components.aggregation.statistics import pooled_snapshots
 from components.core.arrays import load_arrays
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["SeedReturns", "cell_returns", "pooled_snapshots", "with_intervals"]
+__all__ = ["SeedReturns", "cell_returns", "with_intervals"]
 
 _FILE = "returns.npz"
 
@@ -53,11 +54,6 @@ def _read(evaluation: Node, store: ArtifactStore) -> SeedReturns:
     return SeedReturns(int(evaluation.tags["seed"]), stored["steps"], stored["lambdas"], means)
 
 
-def pooled_snapshots(seeds: Sequence[SeedReturns], fraction: float) -> int:
-    """How many of the last snapshots of every seed are pooled, as aggregation counts them."""
-    return max(1, round(fraction * len(seeds[0].returns)))
-
-
 def with_intervals(
     summary: Mapping[str, Any], seeds: Sequence[SeedReturns], fraction: float
 ) -> dict[str, Any]:
@@ -70,7 +66,7 @@ def with_intervals(
     """
     if not seeds:
         return dict(summary)
-    last = pooled_snapshots(seeds, fraction)
+    last = pooled_snapshots(len(seeds[0].returns), fraction)
     low, high = seed_interval(np.stack([seed.returns[-last:] for seed in seeds]))
     points = [
         {**point, "interval_low": float(a), "interval_high": float(b)}

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from components.aggregation.statistics import pooled_snapshots
 from components.core.arrays import load_arrays
 from components.core.files import write_text
 from components.core.random_streams import lane_generator, lane_key
@@ -72,7 +73,7 @@ def _systems(cell: Node, store: ArtifactStore) -> Iterable[MeasuredSystem]:
     """The policies of a cell's pool."""
     for evaluation in cell.inputs.values():
         stored = load_arrays(store.path(evaluation.key) / "returns.npz")
-        last = max(1, round(cell.config["pool_fraction"] * len(stored["returns"])))
+        last = pooled_snapshots(len(stored["returns"]), cell.config["pool_fraction"])
         for returns in stored["returns"][-last:]:
             if np.isfinite(returns).all():
                 yield MeasuredSystem(stored["lambdas"], returns)

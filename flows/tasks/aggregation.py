@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from components.aggregation.statistics import pool_policies, summarise
+from components.aggregation.statistics import pool_policies, pooled_snapshots, summarise
 from components.core.arrays import load_arrays
 from components.core.files import without_undefined
 from flows.pipeline.task import Job, TaskContext
@@ -26,7 +26,7 @@ def aggregate(jobs: Sequence[Job], context: TaskContext) -> None:
         stored = []
         for seed in seeds:
             stored.append(read_input(job, f"seed{seed}", load_arrays, "returns.npz"))
-        last = max(1, round(job.config["pool_fraction"] * len(stored[0]["returns"])))
+        last = pooled_snapshots(len(stored[0]["returns"]), job.config["pool_fraction"])
         pool = pool_policies([s["returns"] for s in stored], last)  # [seeds * last, N]
         per_seed = pool.reshape(len(seeds), last, -1).mean(axis=1)
         distances = np.stack([s["distances"][-last:] for s in stored]).mean(axis=(0, 1))
