@@ -146,8 +146,14 @@ def check_files(
             check_file(folder / name, expected, large=large, fresh=fresh, remedy=remedy)
 
 
-def load_json(path: Path, remedy: str = "") -> Any:
+def load_json(path: Path, remedy: str = "", *, exact: bool = False) -> Any:
     """The value in a JSON file.
+
+    Args:
+        path: The file.
+        remedy: For the message.
+        exact: Whether fractions must be written as Python writes them, so that no other text has
+            the same value: a last digit that has changed may be lost in reading.
 
     Raises:
         MissingFileError: There is no such file.
@@ -156,9 +162,23 @@ def load_json(path: Path, remedy: str = "") -> Any:
     with _reading(path, remedy):
         content = path.read_bytes()
     try:
-        return json.loads(content)
+        return json.loads(content, parse_float=_exact if exact else None)
+    except _InexactError as error:
+        said = f"{path} is damaged (its content is not what was written)"
+        raise DamagedFileError(said, path, remedy) from error
     except ValueError as error:
         raise DamagedFileError(f"{path} is damaged (it is not JSON)", path, remedy) from error
+
+
+def _exact(text: str) -> float:
+    value = float(text)
+    if repr(value) != text:
+        raise _InexactError
+    return value
+
+
+class _InexactError(ValueError):
+    """A fraction is not written as Python writes it."""
 
 
 @contextmanager

@@ -85,7 +85,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    record = load_json(path, REMEDY)
+    record = load_json(path, REMEDY, exact=True)
     if not isinstance(record, dict):
         raise DamagedFileError(f"{path} is damaged (it is no JSON object)", path, REMEDY)
     if _FILES in record or _DIGEST in record:

@@ -119,6 +119,16 @@ def test_a_record_of_an_older_version_is_accepted_and_half_a_seal_is_not(folder:
         read_record(folder)
 
 
+def test_a_digit_that_reading_loses_is_damage_too(folder: Path) -> None:
+    seal(folder, {"wall_seconds": 0.47371448500001634})
+    path = folder / RECORD
+    other = path.read_text().replace("0.47371448500001634", "0.47371448500001635")
+    assert json.loads(other) == read_record(folder)
+    path.write_text(other)
+    with pytest.raises(DamagedFileError, match=rf"{RECORD} is damaged \(its content is not"):
+        read_record(folder)
+
+
 def test_equal_files_have_equal_content_whatever_the_record_says(folder: Path) -> None:
     first = content_digest(read_record(folder))
     seal(folder, read_record(folder) | {"finished": 3.0})
@@ -164,9 +174,9 @@ def test_a_record_is_read_again_when_its_file_is_another_one(
     path = folder / RECORD
     read, reader = [], sealed.load_json
 
-    def counted(path: Path, remedy: str) -> object:
+    def counted(path: Path, remedy: str, *, exact: bool) -> object:
         read.append(path)
-        return reader(path, remedy)
+        return reader(path, remedy, exact=exact)
 
     monkeypatch.setattr(sealed, "load_json", counted)
     old = path.stat().st_mtime_ns - 10**10
