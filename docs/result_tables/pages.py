@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from docs.result_tables import benchmark, judging, safety, settings
+from docs.result_tables import benchmark, every_cell, judging, safety, settings
 from docs.result_tables.shared import ROOT
 
 PAGES: Final = (
@@ -19,6 +19,9 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "front": benchmark.front,
     "full": benchmark.full,
     "beside": benchmark.beside,
+    "every_turbine": every_cell.turbine,
+    "every_robot": every_cell.robots,
+    "every_budget": every_cell.budgets,
     "world": settings.world,
     "pace": settings.pace,
     "limits": settings.limits,

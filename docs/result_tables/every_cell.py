@@ -1,0 +1,139 @@
+"""The thesis's tables 5.3 and 5.4 with every cell, from the policies of one sweep of all logs."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from components.aggregation.statistics import PoolStatistics, summarise
+from components.reporting.thesis_numbers import thesis_numbers
+from docs.result_tables.shared import DATA, logged, table_of
+from flows.configuration.settings import load_settings
+from flows.planning.benchmark import benchmark_plan
+
+_ROBOTS: Final = ("swimmer", "hopper", "walker2d")
+_NAMES: Final = {
+    "bc": "BC",
+    "ddpg": "DDPG",
+    "bcq": "BCQ",
+    "bear": "BEAR",
+    "brac": "BRAC-v",
+    "cql": "CQL",
+    "td3_bc": "TD3+BC",
+    "mopo": "MOPO",
+    "morel": "MOReL",
+    "moose": "MOOSE",
+    "wsbc": "WSBC",
+    "lion": "LION, best λ",
+}
+_OTHERWISE: Final = "ddpg"
+"""The thesis discounts its returns of the turbine with 0.99: their order alone is comparable."""
+
+_CLOSE: Final = 0.05
+"""The share of the thesis's number by which ours may differ to be called close."""
+
+
+def turbine() -> str:
+    """Table 5.4: the sixteen logs of the turbine."""
+    return _table(tuple(logged()))
+
+
+def robots() -> str:
+    """Table 5.3: the three robots."""
+    return _table(_ROBOTS)
+
+
+def budgets() -> str:
+    """One row per algorithm: updates here and in the thesis, and agreement with it."""
+    policies, cells, thesis, full = _policies(), _cells(), thesis_numbers(), _full_updates()
+    ours_by, theirs_by = {}, {}
+    rows = []
+    for name, title in _NAMES.items():
+        updates = policies[policies["algorithm"] == name].groupby("dataset")["updates"].max()
+        most = [updates.reindex(logs).max() for logs in (list(logged()), list(_ROBOTS))]
+        here = ["" if np.isnan(number) else f"{number:,.0f}" for number in most]
+        pairs = {
+            log: (cells[log, name][0].tenth_percentile, thesis[log, name][0])
+            for log in logged()
+            if (log, name) in thesis and (log, name) in cells
+        }
+        agreement = ["", "", ""]
+        if pairs:
+            ours, theirs = np.array(list(pairs.values())).T
+            ours_by |= {(log, name): value for log, (value, _) in pairs.items()}
+            theirs_by |= {(log, name): value for log, (_, value) in pairs.items()}
+            agreement[0] = _rank(ours, theirs)
+        if pairs and name != _OTHERWISE:
+            far = (ours - theirs) / np.abs(theirs)
+            agreement[1:] = [
+                f"{(np.abs(far) <= _CLOSE).sum()} of {len(pairs)}",
+                f"{(far < -_CLOSE).sum()}",
+            ]
+        rows.append([title, *here, *(f"{number:,}" for number in full[name]), *agreement])
+    everything = [(ours_by[cell], theirs_by[cell]) for cell in ours_by]
+    rest = [pair for cell, pair in zip(ours_by, everything, strict=True) if cell[1] != _OTHERWISE]
+    for title, pairs_ in (("all", everything), ("all but DDPG", rest)):
+        rows.append([title, *[""] * 4, _rank(*np.array(pairs_).T), "", ""])
+    heads = ["", "updates: turbine", "robots", "thesis: turbine", "robots"]
+    return table_of([*heads, "Spearman", "within 5 %", "lower by more"], rows)
+
+
+def _rank(ours: np.ndarray, theirs: np.ndarray) -> str:
+    return f"{pd.Series(ours).corr(pd.Series(theirs), method='spearman'):.2f}"
+
+
+@cache
+def _policies() -> pd.DataFrame:
+    return pd.read_parquet(DATA / "nineteen-2026-11" / "policies.parquet")
+
+
+@cache
+def _cells() -> Mapping[tuple[str, str], tuple[PoolStatistics, float]]:
+    """(dataset, algorithm) -> the pool's statistics at the best proximity, and that proximity."""
+    policies = _policies()
+    pooled = policies[policies["pooled"]]
+    found: dict[tuple[str, str], tuple[PoolStatistics, float]] = {}
+    groups = pooled.groupby(["dataset", "algorithm", "proximity"], dropna=False)["return"]
+    for (dataset, algorithm, proximity), returns in groups:
+        statistics = summarise(returns.to_numpy())
+        best = found.get((dataset, algorithm))
+        if best is None or statistics.tenth_percentile > best[0].tenth_percentile:
+            found[dataset, algorithm] = statistics, proximity
+    return found
+
+
+def _table(datasets: Sequence[str]) -> str:
+    """A row per dataset, and below it the thesis's; the best of ours in bold."""
+    cells, thesis = _cells(), thesis_numbers()
+    means = _policies().groupby("dataset")["logged"].first()
+    rows = []
+    for dataset in datasets:
+        own = {name: cells[dataset, name] for name in _NAMES if (dataset, name) in cells}
+        top = max(statistics.tenth_percentile for statistics, _ in own.values())
+        ours, theirs = [dataset, f"{means[dataset]:.1f}"], ["thesis", ""]
+        for name in _NAMES:
+            shown = ""
+            if name in own:
+                statistics, proximity = own[name]
+                value = f"{statistics.tenth_percentile:.1f}"
+                shown = f"**{value}**" if statistics.tenth_percentile == top else value
+                shown += "" if np.isnan(proximity) else f" at {proximity:g}"
+            ours.append(shown)
+            theirs.append(f"{thesis[dataset, name][0]:g}" if (dataset, name) in thesis else "")
+        rows += [ours, theirs]
+    return table_of(["dataset", "log, mean", *_NAMES.values()], rows)
+
+
+@cache
+def _full_updates() -> Mapping[str, tuple[int, int]]:
+    """Updates with the thesis's budgets on the turbine and on a robot, by algorithm."""
+    chosen = f"algorithms=[{','.join(_NAMES)}]"
+    settings = load_settings(["datasets=[bad-0.0,hopper]", chosen, "seeds=[0]", "profile=paper"])
+    plan = benchmark_plan(settings)
+    found = {
+        (node.tags["algorithm"], node.tags["dataset"]): node.config["settings"]["updates"]
+        for node in plan.by_component()["policy_training"]
+    }
+    return {name: (found[name, "bad-0.0"], found[name, "hopper"]) for name in _NAMES}
