@@ -6,17 +6,7 @@ import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE, chosen_blind
 from docs.result_tables.shared import DATA, table_of
-
-_JUDGES: Final = {
-    "spearman": 2,
-    "regret_1": 1,
-    "regret_5": 1,
-    "relative_regret": 2,
-    "caught": 2,
-    "exploits_caught": 2,
-    "cleared": 2,
-}
-"""How well judges rank: columns and decimals."""
+from flows.report.selection import QUALITIES
 
 _COMPARED: Final = ("model", "fitted_q", "least_of_both", DEFAULT_SCORE, "closeness")
 """Judges that are shown dataset by dataset."""
@@ -25,13 +15,13 @@ _COMPARED: Final = ("model", "fitted_q", "least_of_both", DEFAULT_SCORE, "closen
 def judges() -> str:
     """One row per score: means over the datasets."""
     table = pd.read_csv(DATA / "judges-2026-11.csv")
-    means = table.groupby("score", sort=False)[list(_JUDGES)].mean()
+    means = table.groupby("score", sort=False)[list(QUALITIES)].mean()
     rows = []
     for score, row in means.iterrows():
         bold = "**" if score == DEFAULT_SCORE else ""
-        cells = [f"{row[name]:.{digits}f}" for name, digits in _JUDGES.items()]
+        cells = [f"{row[name]:.{digits}f}" for name, digits in QUALITIES.items()]
         rows.append([f"{bold}`{score}`{bold}", *cells])
-    return table_of(["score", *(name.replace("_", " ") for name in _JUDGES)], rows)
+    return table_of(["score", *(name.replace("_", " ") for name in QUALITIES)], rows)
 
 
 def judged() -> str:

@@ -24,9 +24,16 @@ from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.tasks.judging import JUDGEMENT
 
-__all__ = ["NOTHING_JUDGED", "Selection", "doubts", "judged_policies", "write_selection"]
+__all__ = [
+    "NOTHING_JUDGED",
+    "QUALITIES",
+    "Selection",
+    "doubts",
+    "judged_policies",
+    "write_selection",
+]
 
-_QUALITIES: Final = {
+QUALITIES: Final = {
     "spearman": 2,
     "regret_1": 1,
     "regret_5": 1,
@@ -98,12 +105,12 @@ def write_selection(
     )
     if not judges.empty:
         written["judges"] = judges
-        means = judges.groupby("score", sort=False)[list(_QUALITIES)].mean().loc[list(SCORES)]
+        means = judges.groupby("score", sort=False)[list(QUALITIES)].mean().loc[list(SCORES)]
         lines += [
             "",
             f"How well judges rank, mean of {judges['dataset'].nunique()} datasets:",
             "",
-            *markdown(means.reset_index(), _QUALITIES).splitlines(),
+            *markdown(means.reset_index(), QUALITIES).splitlines(),
             *_blind(judges),
         ]
     files = [folder / f"{name}.csv" for name in written]

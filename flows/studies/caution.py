@@ -18,7 +18,7 @@ from flows.studies.finished import Cell, cells, decimals, levels, panels, writte
 from flows.studies.sixteen import SIXTEEN
 from flows.studies.study import Drawn, Study
 
-__all__ = ["STUDY", "caution_table"]
+__all__ = ["STUDY"]
 
 _NAME: Final = "caution"
 _NAMES: Final = {"lion": "LION", "wsbc": "WSBC"}
@@ -29,7 +29,7 @@ price improved the return; what it cost is negative.
 """
 
 
-def caution_table(found: list[Cell], level: dict[str, float]) -> pd.DataFrame:
+def _by_log(found: list[Cell], level: dict[str, float]) -> pd.DataFrame:
     """One row per log, policy and price.
 
     Args:
@@ -59,7 +59,7 @@ def caution_table(found: list[Cell], level: dict[str, float]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def over_logs(table: pd.DataFrame) -> pd.DataFrame:
+def _over_logs(table: pd.DataFrame) -> pd.DataFrame:
     """One row per policy and price: means over the logs, and on how many it ends below its log."""
     rows = []
     for (policy, price), own in table.groupby(["policy", "price"], sort=False):
@@ -80,8 +80,8 @@ def over_logs(table: pd.DataFrame) -> pd.DataFrame:
 
 def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
     found, level = cells(plan, store), levels(plan, store)
-    table = caution_table(found, level)
-    means = over_logs(table)
+    table = _by_log(found, level)
+    means = _over_logs(table)
     lines: dict[str, list[Line]] = {}
     for cell in found:
         if cell.points[0]["lambda"] is not None:

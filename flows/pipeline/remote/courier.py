@@ -61,6 +61,12 @@ class _Courier:
     ) -> None:
         self._over.set()
         self._thread.join()
+        with suppress(StoreError, OSError):
+            self.end(early=error is not None)
+
+    def end(self, *, early: bool) -> None:
+        """What is left to do when no look can follow; ``early`` if an error ends the block."""
+        raise NotImplementedError
 
 
 class WorkerCourier(_Courier):
@@ -98,17 +104,10 @@ class WorkerCourier(_Courier):
             self._save()
             self._saved = newest
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def end(self, *, early: bool) -> None:
         """A call that has ended early leaves its last checkpoint to the next one."""
-        super().__exit__(kind, error, trace)
-        if error is not None:
-            with suppress(StoreError, OSError):
-                self._save_if_new()
+        if early:
+            self._save_if_new()
 
 
 class DriverCourier(_Courier):
@@ -153,12 +152,15 @@ class DriverCourier(_Courier):
     def look(self) -> None:
         """Sends what is new, takes reports and requests."""
         self._claims.beat()
-        # One that was cut off for long may find that another driver has taken its sweep over.
-        if self._begun and self._claims.take([sweep_claim(self._sweep)], wait=False):
+        if self._holds_sweep():
             self._tell()
             groups = sorted(self._groups)
             self._ask(groups)
             self._hear(groups)
+
+    def _holds_sweep(self) -> bool:
+        """Another driver may have taken it over from one that was cut off for long."""
+        return self._begun and bool(self._claims.take([sweep_claim(self._sweep)], wait=False))
 
     def _tell(self) -> None:
         for file in self._records:
@@ -180,26 +182,17 @@ class DriverCourier(_Courier):
             report, ours = _value(content), read_json(self.store.root / name)
             if _at(report) > _at(ours):  # a worker on this machine writes here by itself
                 write_text(self.store.root / name, content.decode())
-        record, content = (
-            read_driver(self.store.root, self._sweep),
-            self.objects.read(self._request),
-        )
+        record = read_driver(self.store.root, self._sweep)
+        content = self.objects.read(self._request)
         if record is not None and content == record.id.encode():
             write_text(self.store.root / self._request, record.id)
             self.objects.delete([self._request])
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def end(self, *, early: bool) -> None:
         """Sends what is left, when no look can send an older version after it."""
-        super().__exit__(kind, error, trace)
-        with suppress(StoreError, OSError):
-            if self._begun and self._claims.take([sweep_claim(self._sweep)], wait=False):
-                self._tell()
-                self.objects.delete(self._asked)  # a look may have sent one after its call's end
+        if self._holds_sweep():
+            self._tell()
+            self.objects.delete(self._asked)  # a look may have sent one after its call's end
 
 
 def sweep_claim(name: str) -> str:
