@@ -25,7 +25,8 @@ _NAMES: Final = {"lion": "LION", "wsbc": "WSBC"}
 _READ: Final = """\
 Means of the pooled policies' returns in the real system. `price`: the value of `caution`, in mean
 returns of the log, and what it is charged by; the thesis knows none. `saved`: by how much the
-price improved the return; what it cost is negative.
+price improved the return; what it cost is negative. `below`: on how many of
+the `logs` whose returns are counted alike policies end below their log.
 """
 
 
@@ -63,6 +64,7 @@ def _over_logs(table: pd.DataFrame) -> pd.DataFrame:
     """One row per policy and price: means over the logs, and on how many it ends below its log."""
     rows = []
     for (policy, price), own in table.groupby(["policy", "price"], sort=False):
+        known = own.dropna(subset=["log"])
         rows.append(
             {
                 "policy": policy,
@@ -71,8 +73,9 @@ def _over_logs(table: pd.DataFrame) -> pd.DataFrame:
                 "with": own["with"].mean(),
                 "most saved": own["saved"].max(),
                 "most cost": own["saved"].min(),
-                "below the log without": (own["without"] < own["log"]).sum(),
-                "below the log with": (own["with"] < own["log"]).sum(),
+                "logs": len(known),
+                "below without": (known["without"] < known["log"]).sum(),
+                "below with": (known["with"] < known["log"]).sum(),
             }
         )
     return pd.DataFrame(rows)

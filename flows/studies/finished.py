@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 _PROMISE: Final = "policy/virtual_return"
 
 _DECIMALS: Final = {
-    **dict.fromkeys(("drops", "tried"), 0),
+    **dict.fromkeys(("drops", "tried", "logs", "below without", "below with"), 0),
     **dict.fromkeys(("best λ", "below the log from λ", "distance at 1"), 2),
     **dict.fromkeys(("knob", "at", "thesis knob", "eta", "beta"), 2),
     **dict.fromkeys(("error", "deviation", "clone"), 4),

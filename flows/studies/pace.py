@@ -35,20 +35,22 @@ def _draw(plan: Plan, store: ArtifactStore, folder: Path) -> Drawn:
     for cell in cells(plan, store):
         steps, returns = real_returns(cell, store)
         mean = returns[:, :, 0].mean(axis=0)
-        limit = cell.settings["velocity_limit"]
+        limit, log = cell.settings["velocity_limit"], level[cell.dataset]
+        # Returns that are not counted as the log's are not counted as the thesis's either.
+        theirs = np.nan if np.isnan(log) else thesis.get((cell.dataset, "wsbc"), (np.nan,))[0]
         lines.setdefault(cell.dataset, []).append(Line(f"limit {limit:g}", steps, mean))
         quarter, half = (mean[max(0, len(mean) // part - 1)] for part in (4, 2))
         rows.append(
             {
                 "dataset": cell.dataset,
                 "limit": f"{limit:g}",
-                "log": level[cell.dataset],
+                "log": log,
                 "quarter": quarter,
                 "half": half,
                 "end": mean[-1],
                 "pool": float(cell.returns[0]),
                 "promised": promised(cell, store)[1][-1],
-                "thesis": thesis.get((cell.dataset, "wsbc"), (np.nan,))[0],
+                "thesis": theirs,
             }
         )
     panels = [Panel(dataset, level[dataset], own) for dataset, own in lines.items()]
