@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+TOOLS := $(VENV)/.tools-ready
 PEERS := .venv-peers
 SHIPPED := components/operating/shipped
 
@@ -24,15 +25,25 @@ PYTEST := $(BIN)/python -m pytest --numprocesses $(TEST_WORKERS) --dist loadscop
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-$(READY): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-	  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11."; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-	  --constraint constraints.txt --editable '.[dev,export]'
-	@touch $@
+# Modules are compiled when first imported: to compile every file of every package takes as long
+# as unpacking them.
+define install
+@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+  { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11."; exit 1; }
+$(PYTHON) -m venv $(VENV)
+$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
+  --constraint constraints.txt --editable $(1)
+@touch $@
+endef
 
-setup: $(READY) ## Make .venv with all that is needed
+$(READY): pyproject.toml constraints.txt
+	$(call install,.)
+
+$(TOOLS): pyproject.toml constraints.txt
+	$(call install,'.[dev,export]')
+	@touch $(READY)
+
+setup: $(TOOLS) ## Make .venv with all that is needed, also for tests and exports
 
 benchmark: $(READY) ## Run the quick benchmark: four datasets, a table in minutes
 	$(BIN)/python -m flows.full_benchmark profile=quick
@@ -43,22 +54,22 @@ console: $(READY) ## Turn the proximity while a machine runs, in a browser
 data: $(READY) ## Generate all datasets and export them for Minari
 	$(BIN)/python -m flows.generate_data
 
-test: $(READY) ## Run the test suite, as CI does: minutes on two cores
+test: $(TOOLS) ## Run the test suite, as CI does: minutes on two cores
 	$(PYTEST) -m 'not exhaustive'
 
-test-fast: $(READY) ## Run the tests that take seconds each, at least one per room
+test-fast: $(TOOLS) ## Run the tests that take seconds each, at least one per room
 	$(PYTEST) -m 'not slow and not exhaustive'
 
-test-all: $(READY) ## Run the suite and the further cases that CI leaves out
+test-all: $(TOOLS) ## Run the suite and the further cases that CI leaves out
 	$(PYTEST)
 
-lint: $(READY) ## Check style, types and the walls between the rooms
+lint: $(TOOLS) ## Check style, types and the walls between the rooms
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-format: $(READY) ## Put the code into the common format
+format: $(TOOLS) ## Put the code into the common format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -79,13 +90,13 @@ shipped-policies: $(READY) ## Train the policies again that the console ships wi
 	$(BIN)/python -m flows.pack_policy run=lion/mediocre-0.2/seed0 to=$(SHIPPED)/turbine \
 	  store=mlruns-shipped overwrite=true
 
-docs: $(READY) ## Build the pages of docs/ as a site, into site/
+docs: $(TOOLS) ## Build the pages of docs/ as a site, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-soak: $(READY) ## Kill a small benchmark 50 times at random and compare it with an undisturbed one; SEED=1
+soak: $(TOOLS) ## Kill a small benchmark 50 times at random and compare it with an undisturbed one; SEED=1
 	$(BIN)/python -m tests.soak --kills 50 $(if $(SEED),--seed $(SEED))
 
-bench: $(READY) ## Measure every hot path beside its peers, into benchmarks/results/
+bench: $(TOOLS) ## Measure every hot path beside its peers, into benchmarks/results/
 	$(BIN)/python -m benchmarks.run
 
 $(PEERS)/.ready: benchmarks/peer-constraints.txt

@@ -61,6 +61,7 @@ class MlflowExperiment:
         Raises:
             TrackingError: MLflow cannot be used.
         """
+        self._interrupted = False  # whether a run may have been left half-written by us
         self.address = StoreAddress(root)
         self.root = self.address.root
         self.common = {"mlflow.source.name": source, "mlflow.source.type": "LOCAL"} | source_tags()
@@ -222,13 +223,17 @@ class MlflowExperiment:
         """Keeps other processes away and turns errors into one sentence.
 
         Every run is written from beginning to end inside, so an unfinished one found inside was
-        left by a process that was killed.
+        left by a process that was killed, or by ourselves when MLflow refused in the middle.
 
         Raises:
             TrackingError: MLflow cannot be used.
         """
         with self.as_tracking_errors(), self._alone():
+            if self._interrupted:
+                close_leftovers(self)
+            self._interrupted = True
             yield
+            self._interrupted = False
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

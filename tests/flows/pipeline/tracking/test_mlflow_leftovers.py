@@ -1,16 +1,25 @@
 """What killed sweeps left open is closed; giving a sweep again adds nothing; odd numbers."""
 
 import math
+import os
 import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
+from flows.pipeline.errors import TrackingError
+from flows.pipeline.executors.serial import SerialExecutor
 from flows.pipeline.locks import locked
+from flows.pipeline.plan import Plan
+from flows.pipeline.progress import Display
+from flows.pipeline.runner import run_plan
+from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
 from flows.pipeline.tracking.mlflow_tracker import MlflowTracker
 from flows.pipeline.tracking.mlflow_writes import split_finite
+from flows.pipeline.tracking.tracker import NullTracker
 from tests.flows.pipeline.tracking.sweeps import run, runs, small
 
 pytestmark = pytest.mark.slow(1)
@@ -51,6 +60,35 @@ def test_whoever_opens_the_store_closes_what_killed_processes_left(home: Path) -
         "someone's": ("RUNNING", None),
     }
     assert [path.name for path in (home / "locks").iterdir()] == []
+
+
+def test_what_a_server_refused_in_the_middle_is_closed_by_the_driver_that_goes_on(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker, [last] = MlflowTracker(home), small(home)
+    tracker.open("first", plan=Plan([last]))
+    with open(os.devnull, "w", encoding="utf-8") as null:
+        run_plan(
+            Plan([last]),
+            ArtifactStore(home),
+            NullTracker(),
+            Display(Console(file=null)),
+            executor=SerialExecutor(),
+        )
+
+    def away(*_: Any, **__: Any) -> None:
+        raise ConnectionError("the server was killed")
+
+    source, folder = last.inputs["a"], ArtifactStore(home).path
+    with monkeypatch.context() as patch:
+        patch.setattr(tracker.experiment.client, "set_terminated", away)
+        with pytest.raises(TrackingError):
+            tracker.log_node(source, folder(source.key))
+    assert states(tracker)[source.name] == ("RUNNING", None)
+    tracker.log_node(source, folder(source.key))
+    tracker.close("FINISHED")
+    found = {run.info.status for run in runs(tracker, "node")}
+    assert (len(runs(tracker, "node")), found) == (2, {"KILLED", "FINISHED"})
 
 
 def test_a_killed_sweep_given_again_is_finished(home: Path) -> None:
