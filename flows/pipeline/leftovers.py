@@ -1,9 +1,9 @@
 """What killed processes leave in a store, removed by the next one that has the store to itself.
 
 Every driver holds a shared lock on the store as long as it may write. Who can have the lock alone
-knows that no other driver lives, so that progress reports, half-written files and locks without a
-holder are of use to nobody. Work folders are not touched: their checkpoints are what a sweep
-continues from.
+knows that no other driver lives, so that progress reports, half-written and half-fetched files and
+locks without a holder are of use to nobody. Work folders are not touched: their checkpoints are
+what a sweep continues from.
 """
 
 import fcntl
@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from flows.pipeline.locks import Lock
+from flows.pipeline.remote.folders import discard_abandoned
 from flows.pipeline.store import ArtifactStore
 
 __all__ = ["store_alone", "store_in_use"]
@@ -55,6 +56,7 @@ def store_alone(store: ArtifactStore) -> Iterator[tuple[bool, int]]:
 def _remove_leftovers(store: ArtifactStore) -> None:
     for file in _files(store.root / "progress"):
         _remove(file)
+    discard_abandoned(store.root / "arriving")
     for folder in ("drivers", "minari", "optuna", "reports", "sweeps", "tracking", "work"):
         for file in _files(store.root / folder):
             if _HALF_WRITTEN.fullmatch(file.name):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from components.core.integrity import SMALL
 from components.core.sealed import RECORD
+from flows.pipeline.remote.folders import discard
 from flows.pipeline.remote.places import address_of, glance_of
 from flows.pipeline.remote.shared_store import SharedStore
 from flows.pipeline.store import ArtifactStore
@@ -90,7 +91,7 @@ class Glance(SharedStore):
 
     def _show(self, key: str, content: bytes | None) -> None:
         if content is None:
-            self._folders.discard(self.path(key))
+            discard(self.path(key))
             return
         with suppress(ValueError, AttributeError, KeyError, TypeError):
             files = json.loads(content).get("files", {})

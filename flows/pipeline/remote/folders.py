@@ -19,10 +19,12 @@ from typing import Any
 from components.core.integrity import DamagedFileError, check_files, describe_files
 from components.core.sealed import RECORD, check_folder, is_sealed, with_digest
 from components.core.sealed import check_digest as take_digest
+from flows.pipeline.locks import locked
 from flows.pipeline.remote.objects import Objects
 
-__all__ = ["Folder", "Folders"]
+__all__ = ["Folder", "Folders", "discard", "discard_abandoned"]
 
+_LOCK = ".lock"
 _REMEDY = "give the command again, which makes it anew"
 Folder = Mapping[str, Any]
 """The list of a folder: its `files` by name, and whatever its writer adds."""
@@ -91,12 +93,14 @@ class Folders:
     def _arriving(self, target: Path) -> Iterator[Path]:
         """A folder to fill and to rename; what is left of it at the end is removed."""
         half = self._scratch / f"{target.name}-{secrets.token_hex(6)}"
-        half.mkdir(parents=True)
         target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            yield half
-        finally:
-            shutil.rmtree(half, ignore_errors=True)
+        self._scratch.mkdir(parents=True, exist_ok=True)
+        with locked(_lock_of(half)):
+            half.mkdir()
+            try:
+                yield half
+            finally:
+                shutil.rmtree(half, ignore_errors=True)
 
     def push(
         self,
@@ -182,13 +186,7 @@ class Folders:
         with suppress(FileNotFoundError):
             os.rename(target, gone)
         os.rename(folder, target)
-        self.discard(gone)
-
-    def discard(self, path: Path) -> None:
-        """Removes a folder or a file, if it is there."""
-        shutil.rmtree(path, ignore_errors=True)
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
+        discard(gone)
 
     def remove(self, name: str) -> None:
         """Removes a folder; its list first, so that nobody begins to read it.
@@ -198,6 +196,31 @@ class Folders:
         """
         self._objects.delete([f"{name}.json"])
         self._objects.delete(self._objects.sizes(name))
+
+
+def discard(path: Path) -> None:
+    """Removes a folder or a file, if it is there."""
+    shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def discard_abandoned(scratch: Path) -> None:
+    """Removes what killed processes have left of half-fetched folders.
+
+    Args:
+        scratch: As given to :class:`Folders`; it need not exist.
+    """
+    names = {path.name.removesuffix(_LOCK) for path in scratch.glob("*")}
+    for half in (scratch / name for name in names):
+        with suppress(OSError), locked(_lock_of(half), wait=False) as ours:
+            if ours:
+                discard(half)
+
+
+def _lock_of(half: Path) -> Path:
+    """The lock of whoever fills a folder."""
+    return half.with_name(half.name + _LOCK)
 
 
 def _names_in(folder: Path) -> list[str]:

@@ -19,6 +19,8 @@ DEAD = (
     "locks/.probe-123",
     "locks/0123",
     "reports/sweep/.results.csv-0123456789ab.csv",
+    "arriving/key-0123456789ab",
+    "arriving/key-0123456789ab.lock",
     "minari/.digests.json-0123456789ab.json",
     "work/group/.checkpoint.safetensors-0123456789ab.safetensors",
 )
@@ -44,8 +46,12 @@ def left(store: ArtifactStore, names: tuple[str, ...]) -> list[str]:
 
 
 def test_leftovers_are_removed(store: ArtifactStore) -> None:
-    with locked(store.locks / "sweep"), store_in_use(store):
+    arriving = store.root / "arriving" / "other-0123456789ab"
+    arriving.mkdir()  # a reader of a shared store fills it, who has not the store in use
+    lock = arriving.with_suffix(".lock")
+    with locked(store.locks / "sweep"), locked(lock), store_in_use(store):
         assert (store.locks / "sweep").exists()  # held, if only by ourselves
+        assert arriving.exists()
         assert left(store, DEAD) == []
         assert left(store, ALIVE) == list(ALIVE)
 
