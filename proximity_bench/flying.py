@@ -6,6 +6,7 @@ from typing import Any
 from components.data.returns import RETURN_STEPS, window_returns
 from components.evaluation.autopilot import Autopilot, AutopilotConfig, Found, fly
 from components.evaluation.guarantee import USUAL
+from components.operating.flying import usual_size
 from proximity_bench.operating import trajectory
 from proximity_bench.policies import Policy
 
@@ -51,7 +52,7 @@ def autopilot(
                 f"{policy!r} does not know its log, whose returns would tell what much is; give "
                 "margin and slope, in units of return."
             )
-        size = abs(policy.log.all_windows_return_mean)
+        size = usual_size(policy.log)
         margin = USUAL.margin * size if margin is None else margin
         slope = USUAL.slope * size if slope is None else slope
     try:

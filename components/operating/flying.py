@@ -10,7 +10,7 @@ from components.data.card import DatasetCard
 from components.evaluation.autopilot import Autopilot, AutopilotConfig
 from components.evaluation.guarantee import USUAL, Guarantee
 
-__all__ = ["Flying"]
+__all__ = ["Flying", "usual_size"]
 
 _BUDGET: Final = 60  # trajectories
 
@@ -25,7 +25,7 @@ class Flying:
 
     def __init__(self, card: DatasetCard, guarantee: Guarantee = USUAL) -> None:
         self._discount, self._steps = card.discount, min(card.return_steps, card.steps)
-        size = max(abs(card.first_window_return_mean), 1e-6)
+        size = usual_size(card)
         self._search = Autopilot(
             AutopilotConfig(
                 budget=_BUDGET, margin=guarantee.margin * size, slope=guarantee.slope * size
@@ -90,3 +90,11 @@ class Flying:
         if self._search.propose() is not None:
             self._search.tell(self._return)
         self.forget()
+
+
+def usual_size(card: DatasetCard) -> float:
+    """In what a margin and a slope count: the size of a log's mean return from an episode's start.
+
+    Trajectories of the autopilot begin there, too.
+    """
+    return max(abs(card.first_window_return_mean), 1e-6)
