@@ -37,6 +37,7 @@ GRID = (
     "runner.cpus=2",
     "runner.device=cpu",
 )
+_LEAST_GAP = 4.0  # seconds between two kills on average, at least: about a driver's start
 KINDS = ("driver", "worker", "raylet", "gcs", "server", "group", "SIGTERM", "Ctrl-C")
 _PATIENCE = 120.0  # seconds in which a driver that was told to end, or has lost Ray, ends
 
@@ -228,12 +229,16 @@ def soak(kills: int, seed: int, minutes: float, home: Path) -> int:
     plan = soaked_plan(load_settings(list(GRID)))
     run = Soak(home, random.Random(seed), plan)
     first = run.first_run()
-    mean = min(first, 0.8 * 60.0 * minutes / kills)
     while run.kills < kills or run.driver is not None:
         if run.driver is None or run.server is None:
             run.begin_sweep()
-        more = run.kills < kills
-        if run.live(run.rng.uniform(0.0, 2.0 * mean) if more else 3600.0):
+        gap = 3600.0
+        if run.kills < kills:
+            # Starts and checks take their part of the time: the more, the closer kills follow.
+            left = 60.0 * minutes - (time.monotonic() - BEGUN)
+            mean = max(_LEAST_GAP, min(first, 0.8 * left / (kills - run.kills)))
+            gap = run.rng.uniform(0.0, 2.0 * mean)
+        if run.live(gap):
             run.kill()
         else:
             run.finish_sweep()
