@@ -1,4 +1,7 @@
-"""What the benchmarks share: timing side by side, Markdown tables, a line about the computer."""
+"""What the benchmarks share: timing side by side, Markdown tables, a line about the computer.
+
+PyTorch is imported where it is needed: a benchmark of the driver measures a process without it.
+"""
 
 import datetime
 import os
@@ -7,8 +10,6 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-
-import torch
 
 __all__ = ["computer", "markdown", "median_seconds", "processor"]
 
@@ -44,6 +45,8 @@ def median_seconds(
 
 
 def _settle() -> None:
+    import torch
+
     if torch.cuda.is_available():
         torch.cuda.synchronize()
 
@@ -73,6 +76,8 @@ def processor() -> str:
 
 def computer(device: str = "cpu") -> str:
     """One line: processor, cores, threads, versions, date; the GPU if one was used."""
+    import torch
+
     used = f", {torch.cuda.get_device_name(device)}" if device.startswith("cuda") else ""
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     return (
