@@ -46,6 +46,7 @@ give the same command again.
   evaluation.trajectories=10      per policy
   evaluation.horizon=100          steps per trajectory
   evaluation.proximity_step=0.05  distance of the proximities at which policies are evaluated
+  evaluation.discount=0.99        of the returns that are shown; the log's own by default
   judging.policies=auto           judge policies of logs without a system from the log; or all, none
   judging.held_out=0.3            share of a log's episodes that judges learn from and policies not
   judging.snapshots=1             last policies of a run that are judged

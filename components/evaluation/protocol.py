@@ -11,11 +11,12 @@ __all__ = ["EvaluationProtocol"]
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationProtocol:
-    """The protocol (thesis 5.1.2; details in the README). The discount belongs to the dataset."""
+    """The protocol (thesis 5.1.2; details in the README)."""
 
     trajectories: int = 10  # real ones per policy and proximity
     horizon: int = 100  # steps
     proximity_step: float = 0.05  # of the grid of proximities, from 0 to 1
+    discount: float | None = None  # gamma of the reported returns; None: the log's own
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -29,6 +30,10 @@ class EvaluationProtocol:
                 f"{self.trajectories} and {self.horizon}."
             )
         check_proximity_step(self.proximity_step)
+        if self.discount is not None and not 0 < self.discount <= 1:
+            raise ValueError(
+                f"discount must lie in (0, 1], or be null for the log's own; got {self.discount}."
+            )
 
     @property
     def proximities(self) -> tuple[float, ...]:
@@ -39,18 +44,18 @@ class EvaluationProtocol:
         """What identifies an evaluation, under the names that stored results have.
 
         Args:
-            discount: Gamma of the reported return.
+            discount: Of the log, which is that of the reported returns unless another was chosen.
         """
         return {
             "trajectories": self.trajectories,
             "horizon": self.horizon,
             "lambda_step": self.proximity_step,
-            "discount": discount,
+            "discount": discount if self.discount is None else self.discount,
         }
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> tuple["EvaluationProtocol", float]:
-        """The protocol and the discount of a record.
+        """The protocol of a record, and the discount of the reported returns.
 
         Raises:
             ValueError: A value outside its range.

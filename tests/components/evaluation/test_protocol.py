@@ -24,6 +24,8 @@ def test_grid_of_the_proximity() -> None:
         {"proximity_step": 0.3},
         {"proximity_step": 1.5},
         {"proximity_step": float("nan")},
+        {"discount": 0.0},
+        {"discount": 1.01},
     ],
 )
 def test_protocols_out_of_range_are_refused(fields: dict[str, float]) -> None:
@@ -42,3 +44,8 @@ def test_records_have_the_names_of_stored_results_and_are_read_back() -> None:
     record = protocol.record(0.9)
     assert record == {"trajectories": 3, "horizon": 7, "lambda_step": 0.5, "discount": 0.9}
     assert EvaluationProtocol.of_record(record) == (protocol, 0.9)
+
+
+def test_a_chosen_discount_takes_the_place_of_the_logs() -> None:
+    assert EvaluationProtocol(discount=0.99).record(0.97)["discount"] == 0.99
+    assert EvaluationProtocol(discount=1.0).record(0.97)["discount"] == 1.0

@@ -133,7 +133,7 @@ def test_command_line_wins_over_profile_and_selects() -> None:
             "model.foo.hidden=3",
             "valid keys in model: action_vae, behaviour_policy, .*recurrent_ensemble",
         ),
-        ("evaluation.discount=0.5", "valid keys in evaluation: horizon, proximity_step"),
+        ("evaluation.gamma=0.5", "valid keys in evaluation: discount, horizon, proximity_step"),
         ("dataset.bad-0.2.epsilon=2", r"edit its files, or select with datasets=\[...\]"),
         # unknown names
         ("profile=fast", "Unknown profile 'fast'; valid ones are chapter4, paper, quick, smoke"),

@@ -43,7 +43,12 @@ def test_every_setting_is_shown_with_its_value() -> None:
             plain = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}
             assert found[group][name] == plain
     assert found["algorithm"]["lion"]["hidden"] == [7]
-    assert found["evaluation"] == {"trajectories": 10, "horizon": 100, "proximity_step": 0.05}
+    assert found["evaluation"] == {
+        "trajectories": 10,
+        "horizon": 100,
+        "proximity_step": 0.05,
+        "discount": None,
+    }
     assert found["experts"]["training"]["random_steps"] == 25_000
     assert found["algorithms"] == ["bc", "ddpg", "td3_bc", "lion"]
     assert list(found["dataset"]) == list(settings.datasets)

@@ -58,6 +58,15 @@ def test_other_episodes_are_not_comparable_and_other_logs_only_differ(word: str)
         assert any(d.setting.endswith(name) for d in found.differences["bad-0.4", "td3_bc"])
 
 
+def test_returns_counted_as_the_thesis_prints_them_stand_beside_it_without_a_mark() -> None:
+    found = compare(cells("profile=paper", *ONE, "evaluation.discount=0.99"))
+    assert {a: (t.value, t.marks) for (_, a), t in found.thesis.items()} == {"ddpg": (-383.0, "")}
+    assert not found.thesis["bad-0.4", "ddpg"].other_discount
+    assert "100 steps with the discount 0.99" in found.notes[0]  # TD3+BC's is not
+    usual = {n.key for n in cells("profile=paper", *ONE)}
+    assert usual == {n.key for n in cells("profile=paper", *ONE, "evaluation.discount=null")}
+
+
 def test_logs_that_are_divided_for_judges_are_compared_as_whole_logs() -> None:
     found = compare(cells("profile=paper", *ONE, "judging.policies=all", "data.seed=3"))
     said = {d.setting: (d.here, d.thesis) for d in found.differences["bad-0.4", "td3_bc"]}
