@@ -34,6 +34,8 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "autopilot_slopes": safety.autopilot_slopes,
     "warnings": safety.warnings,
     "caution": safety.caution,
+    "caution_by": safety.caution_by,
+    "first_drop": lambda: settings.study("table-6.1"),
 }
 
 

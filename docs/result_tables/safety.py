@@ -1,6 +1,6 @@
 """Tables of what keeps a machine from harm: a careful search for λ, and caution in training."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import pandas as pd
@@ -63,19 +63,36 @@ def warnings() -> str:
 
 
 def caution() -> str:
-    """One row per policy that was trained with caution, too: promised and real returns."""
-    table = _cautions()
-    free = table[table["caution"].isna()]
-    where = ["dataset", "algorithm", "proximity"]
-    rows = []
-    for row in table[table["caution"].notna()].to_dict("records"):
-        same = (free[where].fillna(-1) == pd.Series(row)[where].fillna(-1)).all(axis=1)
-        if not same.any():
-            continue
-        bold = free[same].iloc[0]
-        cells = [*_shown(row), f"{row['caution']:g}, {row['caution_by']}", f"{row['logged']:.1f}"]
-        for one in (bold, row):
-            cells += [f"{one['promised_gain']:+.1f}", f"{one['real']:.1f}"]
-        rows.append([*cells, f"{row['real'] - bold['real']:+.1f}"])
-    heads = ["promised without", "real without", "promised with", "real with", "saved"]
-    return table_of(["dataset", "policy", "caution", "log", *heads], rows)
+    """One row per log: LION at its freest and WSBC without and with a price on leaving the log."""
+    return _prices(["caution"])
+
+
+def caution_by() -> str:
+    """Likewise, of the logs on which both measures have been charged for."""
+    return _prices(["caution", "caution-disagreement"])
+
+
+def _prices(studies: Sequence[str]) -> str:
+    """What the logs that all these studies have are worth without and with their prices."""
+    tables = [pd.read_csv(DATA / "studies-2026-11" / f"{name}.csv") for name in studies]
+    logs = [log for log in dict.fromkeys(tables[0]["dataset"]) if all(_has(t, log) for t in tables)]
+    columns: dict[str, list[float]] = {}
+    level = {}
+    for policy in ("LION, λ = 1", "WSBC"):
+        for table in tables:
+            own = table[table["policy"] == policy].set_index("dataset").loc[logs]
+            level = own["log"].to_dict()
+            columns[policy] = list(own["without"])
+            columns[f"{policy}, {own['price'].iloc[0]}"] = list(own["with"])
+    rows = [
+        [log, f"{level[log]:.1f}", *(f"{values[i]:.1f}" for values in columns.values())]
+        for i, log in enumerate(logs)
+    ]
+    below = (sum(map(float.__lt__, own, level.values())) for own in columns.values())
+    rows.append(["mean", "", *(f"{sum(own) / len(own):.1f}" for own in columns.values())])
+    rows.append(["below the log on", "", *(f"{count} of {len(logs)}" for count in below)])
+    return table_of(["dataset", "log", *columns], rows)
+
+
+def _has(table: pd.DataFrame, log: str) -> bool:
+    return bool((table["dataset"] == log).any())

@@ -4,10 +4,9 @@ from typing import Final
 
 import pandas as pd
 
-from components.algorithms.wsbc import Config as WSBCConfig
 from components.reporting.ranking import markdown
 from components.reporting.thesis_numbers import thesis_numbers
-from docs.result_tables.shared import DATA, logged, table_of
+from docs.result_tables.shared import DATA, table_of
 from flows.studies.finished import decimals
 
 _HAPPENS: Final = 0.6
@@ -48,23 +47,21 @@ def pace() -> str:
 
 
 def limits() -> str:
-    """One row per dataset: WSBC's pool at the former and at the chosen velocity limit."""
-    table, logs, thesis = _velocities(), logged(), thesis_numbers()
-    chosen = WSBCConfig().velocity_limit
-    measured_ones = table.set_index(["dataset", "velocity_limit"])
+    """One row per log: WSBC's returns on the way at the former and at the chosen limit."""
+    table = pd.read_csv(DATA / "studies-2026-11" / "pace.csv")
+    limits = list(dict.fromkeys(table["limit"]))
+    stages = ("quarter", "half", "end")
     rows = []
-    for log, mean in logs.items():
-        cells = [
-            f"{_pool(measured_ones.loc[log, limit].set_index('iteration')):.1f}"
-            if (log, limit) in measured_ones.index
-            else ""
-            for limit in (1.0, chosen)
-        ]
-        if any(cells):
-            theirs, error = thesis[log, "wsbc"]
-            rows.append([log, f"{mean:.1f}", *cells, f"{theirs:.1f} ({error:g})"])
-    heads = ["dataset", "log, mean", "limit 1", f"limit {chosen:g}", "thesis, 10th percentile"]
-    return table_of(heads, rows)
+    for dataset, own in table.groupby("dataset", sort=False):
+        by_limit = own.set_index("limit")
+        found = (by_limit.loc[limit, stage] for limit in limits for stage in stages)
+        theirs, error = thesis_numbers()[dataset, "wsbc"]
+        cells = [f"{by_limit['log'].iloc[0]:.1f}", *(f"{value:.1f}" for value in found)]
+        rows.append([dataset, *cells, f"{theirs:.1f} ({error:g})"])
+    means = [table[table["limit"] == limit][stage].mean() for limit in limits for stage in stages]
+    rows.append(["mean", "", *(f"{mean:.1f}" for mean in means), ""])
+    heads = [f"{limit:g}: {stage}" for limit in limits for stage in stages]
+    return table_of(["dataset", "log", *heads, "thesis, 10th percentile"], rows)
 
 
 def _velocities() -> pd.DataFrame:
