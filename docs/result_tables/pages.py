@@ -29,7 +29,6 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "judged": judging.judged,
     "blind": judging.blind,
     "lion_over_lambda": lambda: settings.study("figure-6.5"),
-    "rvs_returns": lambda: settings.study("figure-6.8"),
     "autopilot": safety.autopilot,
     "autopilot_slopes": safety.autopilot_slopes,
     "warnings": safety.warnings,
