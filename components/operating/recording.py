@@ -2,6 +2,8 @@
 
 A recording is a CSV table with a row a step, the schema with which `flows.import_log` reads it, and
 a card that says what was operated. Numbers are written so that reading them gives the same ones.
+One over recorded states has no schema: states and rewards are the log's, not what the proposed
+actions would have led to, and who learned from the two together would learn what is not so.
 """
 
 import csv
@@ -15,6 +17,7 @@ from typing import Final
 from components.core.cards import CardFormat
 from components.core.files import replacing, write_text
 from components.core.integrity import DamagedFileError
+from components.environments.systems import SYSTEMS
 from components.operating.operable import Operable
 from components.operating.session import DRIVERS, Session, Step
 
@@ -24,6 +27,7 @@ _TABLE: Final = "session.csv"
 _SCHEMA: Final = "session.yaml"
 _CARD: Final = "session.json"
 _ACTION: Final = "action "
+_PROPOSED: Final = "proposed "  # an action that had no effect
 _OF_LOG: Final = "log "  # before a name of the log that is also one of the table's own
 _WRITTEN: Final = ("episode", "step", "driver", "lambda", "demanded")
 _RESULTS: Final = ("reward", "terminal", "distance", "strangeness", "behaviour reward")
@@ -61,7 +65,9 @@ class Recording:
     def __init__(self, operable: Operable, policy: str, seed: int) -> None:
         self._card = RecordingCard(policy=policy, weights=operable.digest, seed=seed)
         card = operable.card
-        named = [*card.frame_features, *(_ACTION + name for name in card.action_features)]
+        self._real = card.environment in SYSTEMS
+        acted = _ACTION if self._real else _PROPOSED
+        named = [*card.frame_features, *(acted + name for name in card.action_features)]
         columns = _apart(named, (*_WRITTEN, *_RESULTS))
         count = len(card.frame_features)
         self._log, self._frames, self._actions = card, columns[:count], columns[count:]
@@ -104,6 +110,11 @@ class Recording:
         return self._text.getvalue()
 
     @property
+    def is_log(self) -> bool:
+        """Whether something can be learned from it: actions had an effect on a system."""
+        return self._real
+
+    @property
     def schema(self) -> str:
         """The text of the schema with which `flows.import_log` reads the table.
 
@@ -129,12 +140,13 @@ class Recording:
         return json.dumps(values, indent=2, allow_nan=False) + "\n"  # JSON is YAML, too
 
     def save(self, folder: Path) -> None:
-        """Write the three files into a new folder, which appears complete or not at all."""
+        """Write the files into a new folder, which appears complete or not at all."""
         folder.parent.mkdir(parents=True, exist_ok=True)
         with replacing(folder) as made:
             made.mkdir()
             write_text(made / _TABLE, self.table)
-            write_text(made / _SCHEMA, self.schema)
+            if self._real:
+                write_text(made / _SCHEMA, self.schema)
             write_text(made / _CARD, json.dumps(asdict(self._card), indent=2) + "\n")
 
 

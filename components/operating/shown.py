@@ -17,7 +17,7 @@ __all__ = ["Shown", "goals_of", "places_of_map", "shown_of"]
 Array = NDArray[np.float64]
 Shown = tuple[str, Callable[[Step], Array]]
 """The name of a quantity, and its values in a step: the operated copy's and the behaviour's, or one
-that only the operated copy has."""
+that only the operated copy has. NaN where there is none."""
 
 _MOST: Final = 7  # quantities shown
 _PLACES: Final = 13  # arrows along a side of a map
@@ -25,17 +25,22 @@ _APART: Final = 1.0  # between two goals
 
 
 def shown_of(session: Session) -> list[Shown]:
-    """What is worth a curve: reward and frames of a system; of recorded states the actions."""
+    """What is worth a curve: reward and frames of a system; of recorded states the actions, too.
+
+    Recorded frames and rewards are what was logged, and no policy's.
+    """
     card = session.operable.card
 
+    real = session.plant.real
+
     def frame(column: int) -> Callable[[Step], Array]:
-        return lambda step: step.frames[:, column]
+        return lambda step: step.frames[:, column] if real else _logged(step.frames[1, column])
 
     def action(column: int) -> Callable[[Step], Array]:
         low, high = card.action_bounds[column] if card.action_bounds else (-1.0, 1.0)
         return lambda step: low + (step.actions[:, column] + 1) / 2 * (high - low)
 
-    reward: Shown = ("reward", lambda step: step.rewards)
+    reward: Shown = ("reward", lambda step: step.rewards if real else _logged(step.rewards[1]))
     if card.environment == WORLD.id:
         return [
             reward,
@@ -47,10 +52,15 @@ def shown_of(session: Session) -> list[Shown]:
         for number, name in enumerate(card.frame_features)
         if name != "setpoint" or session.plant.setpoint is None
     ]
-    if session.plant.real:
+    if real:
         return [*frames[: _MOST - 1], reward]
     actions: list[Shown] = [(name, action(n)) for n, name in enumerate(card.action_features)]
     return [*[*actions, *frames][: _MOST - 1], reward]
+
+
+def _logged(value: float) -> Array:
+    """What the log alone has."""
+    return np.array([np.nan, value])
 
 
 def goals_of(operable: Operable) -> list[list[float]]:

@@ -14,7 +14,8 @@ from components.evaluation.guarantee import Guarantee
 from components.operating.session import Driver
 from flows.console.bench import MOST, Bench
 from flows.console.catalogue import Catalogue, NotOfferedError
-from flows.console.layout import card, frame, number
+from flows.console.gauges import Gauges
+from flows.console.layout import card, frame
 from flows.console.scene import Scene
 from flows.console.windows import Windows
 
@@ -69,7 +70,7 @@ class Operate:
             self._said = ui.label().classes("said").mark("said")
             self._warning = ui.label().classes("warning").mark("warning")
             self._warning.set_visibility(False)
-            self._gauges()
+            self._gauges = Gauges()
             self._buttons()
             with card():
                 self._scene = Scene([], {"map": False, "goals": [], "centre": [0, 0], "side": 1})
@@ -97,14 +98,6 @@ class Operate:
                 .props('color="primary" thumb-size="30px" track-size="10px" aria-label="proximity"')
                 .mark("dial")
             )
-
-    def _gauges(self) -> None:
-        with ui.element("div").classes("gauges"):
-            self._own = number("reward so far: this policy", "own")
-            self._usual = number("reward so far: behaviour", "usual")
-            self._better = number("gain per step", "")
-            self._distance = number("action: distance to the familiar", "")
-            self._strange = number("state: distance to the log", "")
 
     def _legend(self) -> None:
         with ui.row().classes("legend gap-4"):
@@ -157,6 +150,8 @@ class Operate:
         self._setpoint.set_visibility(session.plant.setpoint is not None)
         self._setpoint.value = session.plant.setpoint
         self._slider.set_enabled(session.takes_proximity)
+        self._read(float(self._slider.value or 0.0) if session.takes_proximity else None)
+        self._gauges.of(real)
         said = [] if session.takes_proximity else ["This policy takes no proximity to be turned."]
         if not real:
             said.append("No system is known here: the policy is shown on recorded states.")
@@ -216,18 +211,7 @@ class Operate:
 
     def _show_numbers(self, bench: Bench) -> None:
         session, done = bench.session, bench.last
-        own, usual = (float(value) for value in session.sums)
-        real = session.plant.real
-        self._own.text = f"{own:.1f}" if real else "–"
-        self._usual.text = f"{usual:.1f}" if real else "–"
-        gain = (own - usual) / max(1, session.at)
-        self._better.text = f"{gain:+.3f}" if real else "–"
-        self._better.classes(
-            add="good" if gain > 0 else "bad", remove="bad" if gain > 0 else "good"
-        )
-        self._distance.text = f"{done.distance:.2f}"
-        strange = done.strangeness
-        self._strange.text = "–" if strange != strange else f"{strange:.2f}"
+        self._gauges.show(session, done)
         self._clock.text = f"episode {done.episode + 1}, step {done.step + 1}"
         self._warning.set_visibility(session.strayed)
         if session.strayed:
@@ -236,8 +220,12 @@ class Operate:
                 "Turn back towards familiar, or watch closely."
             )
 
+    def _read(self, proximity: float | None) -> None:
+        """Show the proximity; a policy that takes none has none."""
+        self._reading.text = "no λ" if proximity is None else f"λ = {proximity:.2f}"
+
     def _turned(self, event: ValueChangeEventArguments) -> None:
-        self._reading.text = f"λ = {float(event.value or 0.0):.2f}"
+        self._read(float(event.value or 0.0))
         if self._bench is not None and self._bench.session.driver != "autopilot":
             self._bench.turn(event.value)
             self._turn_map()
@@ -298,11 +286,15 @@ class Operate:
         except OSError as error:
             self._say(f"The session cannot be saved: {error}.")
             return
-        self._say(
-            f"Saved: {place}. Replay it with python -m flows.console replay={place}, or import it "
-            f"with python -m flows.import_log {place}/session.csv name=session "
-            f"schema={place}/session.yaml short=drop"
-        )
+        said = f"Saved: {place}. Replay it with python -m flows.console replay={place}"
+        if self._bench is not None and self._bench.recording.is_log:
+            said += (
+                f", or import it with python -m flows.import_log {place}/session.csv name=session "
+                f"schema={place}/session.yaml short=drop"
+            )
+        else:
+            said += ". It is no log to learn from: what was proposed had no effect."
+        self._say(said)
 
     def _download(self) -> None:
         if self._bench is not None:

@@ -19,6 +19,9 @@ __all__ = ["RULES", "CostModel", "Measurement", "kind_of"]
 RULES: Final = 2
 """Of the costs of plans; raise it when they change, since a record's time relates to its cost."""
 
+_LEAST: Final = 1.0
+"""Cost of a call that tells a pace: the time of less work is that of its beginning and end."""
+
 _NEWEST: Final = 50  # measurements that count: they come from code and load most like the present
 
 
@@ -55,13 +58,16 @@ class Measurement:
     def of_record(cls, record: Mapping[str, Any]) -> "Measurement | None":
         """What the `node.json` of a finished node tells about its call, if it can be used.
 
-        None of a call that was continued after a kill, that was planned by other rules, or that
-        took less than no time, as older stores have it of computers whose clock was set back. Time
-        in which a call waited for a processor that other programs used does not count.
+        None of a call that was continued after a kill, that was planned by other rules, that had
+        next to nothing to do, or that took less than no time, as older stores have it of computers
+        whose clock was set back. Time in which a call waited for a processor that other programs
+        used does not count.
         """
         if record.get("cost_rules") != RULES or record.get("resumed") or not record.get("cost"):
             return None
         share = float(record["share"])
+        if float(record["cost"]) / share < _LEAST:
+            return None
         whole = float(record["seconds"]) / share
         device = record.get("device", "cpu")
         busy = 1.0

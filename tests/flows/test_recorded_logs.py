@@ -1,6 +1,5 @@
 """A session that the console has recorded is a log: the door of foreign logs takes it as it is."""
 
-import dataclasses
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -16,28 +15,16 @@ from components.operating.session import Session, Step
 from flows import import_log as door
 from flows.command_line import run_door
 from flows.configuration import files
-from tests.components.operating.machines import recorded
-from tests.components.synthetic import constant_policy
 
-UNTOUCHED = {("turbine", 0), ("own", 0)}
-"""The setpoint, which is a column of both and never changes."""
+UNTOUCHED = {("turbine", 0)}
+"""The setpoint, which is a column of its table and never changes."""
 
 
-def renamed() -> Operable:
-    """A log without a system, whose columns are called as those of a recording's table."""
-    frames = ("step", "driver", "lambda", "terminal", "distance", "strangeness")
-    still = constant_policy([0.1, 0.0, 0.0], frames, history=1)
-    made = recorded()
-    actions = ("episode", "pump", "behaviour reward")
-    card = dataclasses.replace(made.card, frame_features=frames, action_features=actions)
-    return dataclasses.replace(made, policy=still, card=card, familiar=None)
-
-
-@pytest.mark.parametrize("of", ["world", "turbine", "own"])
+@pytest.mark.parametrize("of", ["world", "turbine"])
 def test_a_recorded_session_is_imported(
     of: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    operable = renamed() if of == "own" else Operable.load(SHIPPED / of)
+    operable = Operable.load(SHIPPED / of)
     session, recording = Session(operable, seed=3), Recording(operable, of, 3)
     steps: list[Step] = []
     for number in range(60):

@@ -106,7 +106,7 @@ export default {
         pen.textAlign = "right";
         pen.font = "600 12px system-ui, sans-serif";
         let at = inner.x + inner.w;
-        last.map((v, k) => [v === null ? "–" : short(v), k ? USUAL : OWN]).reverse().forEach(([text, colour]) => {
+        last.map((v, k) => [v === null ? (last.length > 1 ? "" : "–") : short(v), k ? USUAL : OWN]).reverse().forEach(([text, colour]) => {
           pen.fillStyle = colour === USUAL ? "#64748b" : colour;
           pen.fillText(text, at, y + 14);
           at -= pen.measureText(text).width + 12;

@@ -58,10 +58,25 @@ def test_a_recording_holds_what_happened() -> None:
     assert schema["outcome_row"] == "same"
 
 
+def test_what_was_proposed_on_recorded_states_is_no_log_to_learn_from(tmp_path: Path) -> None:
+    """Its states and rewards are those of other actions."""
+    recording, _ = record(recorded())
+    recording.save(tmp_path / "saved")
+    assert sorted(p.name for p in (tmp_path / "saved").iterdir()) == ["session.csv", "session.json"]
+    assert not recording.is_log
+    head = recording.table.splitlines()[0].split(",")
+    assert not any(name.startswith("action ") for name in head)
+    assert any(name.startswith("proposed ") for name in head)
+    real, _ = record(turbine())
+    real.save(tmp_path / "real")
+    assert real.is_log
+    assert (tmp_path / "real" / "session.yaml").exists()
+
+
 def test_names_of_an_own_log_may_be_those_of_the_tables_columns(tmp_path: Path) -> None:
     """Two columns of one name could be neither replayed nor imported."""
     operable = recorded()
-    names = ("step", "driver", "lambda", "log step", "action pump", "strangeness")
+    names = ("step", "driver", "lambda", "log step", "proposed pump", "strangeness")
     policy = constant_policy([0.1, 0.0, 0.0], names, history=1)
     actions = ("pump", "episode", "reward")
     card = dataclasses.replace(operable.card, frame_features=names, action_features=actions)
@@ -71,7 +86,7 @@ def test_names_of_an_own_log_may_be_those_of_the_tables_columns(tmp_path: Path) 
     assert len(set(head)) == len(head)
     schema = json.loads(recording.schema)
     assert schema["features"][0] == "log driver"  # nothing changed the setpoint, here "step"
-    assert list(schema["actions"]) == ["log action pump", "action episode", "action reward"]
+    assert list(schema["actions"]) == ["log proposed pump", "proposed episode", "proposed reward"]
     row = dict(zip(head, first, strict=True))
     seen = [float(row[name]) for name in schema["features"]]
     assert seen == steps[0].frames[0, 1:].tolist()

@@ -159,6 +159,8 @@ def test_an_own_log_without_a_system_is_shown_on_recorded_states(address: str) -
     with operating(address, OWN) as visit:
         expect(visit.page.locator(".said")).to_contain_text("shown on recorded states")
         expect(visit.page.locator(".legend")).to_contain_text("what was logged")
+        expect(visit.page.get_by_text("reward so far: this policy")).to_be_hidden()
+        expect(visit.page.get_by_text("action: distance to the familiar")).to_be_visible()
 
 
 def test_what_a_hostile_card_says_is_text(address: str) -> None:

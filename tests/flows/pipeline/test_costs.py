@@ -54,7 +54,14 @@ def test_outliers_do_not_move_it_and_old_times_go() -> None:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"resumed": True}, {"cost_rules": RULES - 1}, {"seconds": -3600.0}, {"cost": 0.0}]
+    "changed",
+    [
+        {"resumed": True},
+        {"cost_rules": RULES - 1},
+        {"seconds": -3600.0},
+        {"cost": 0.0},
+        {"cost": 0.001},  # of a log of a few rows: 7 seconds for it are no pace
+    ],
 )
 def test_what_is_no_measurement_teaches_nothing(changed: dict[str, Any]) -> None:
     assert not CostModel([record("total", 4.0) | changed]).measured
