@@ -74,10 +74,35 @@ def budgets() -> str:
         rows.append([title, *here, *(f"{number:,}" for number in full[name]), *agreement])
     everything = [(ours_by[cell], theirs_by[cell]) for cell in ours_by]
     rest = [pair for cell, pair in zip(ours_by, everything, strict=True) if cell[1] != _OTHERWISE]
-    for title, pairs_ in (("all", everything), ("all but DDPG", rest)):
+    as_printed = [(value, thesis[log, _OTHERWISE][0]) for log, value in _as_printed().items()]
+    whole = {
+        "all": everything,
+        "all but DDPG": rest,
+        "all, DDPG discounted with 0.99": rest + as_printed,
+    }
+    for title, pairs_ in whole.items():
         rows.append([title, *[""] * 4, _rank(*np.array(pairs_).T), "", ""])
     heads = ["", "updates: turbine", "robots", "thesis: turbine", "robots"]
     return table_of([*heads, "Spearman", "within 5 %", "lower by more"], rows)
+
+
+def ddpg() -> str:
+    """One row per log: DDPG with both discounts, beside the thesis's number."""
+    cells, thesis, full = _cells(), thesis_numbers(), _as_printed()
+    rows = []
+    for log in logged():
+        value, (theirs, error) = full[log], thesis[log, _OTHERWISE]
+        ours = cells[log, _OTHERWISE][0].tenth_percentile
+        rows.append([log, f"{ours:.1f}", f"{value:.1f}", f"{theirs:.1f} ({error:g})"])
+    return table_of(["dataset", "0.97, 3,000 updates", "0.99, 10,000 updates", "thesis"], rows)
+
+
+@cache
+def _as_printed() -> Mapping[str, float]:
+    """By log, the 10th percentile of DDPG's pool with the thesis's budget and discount."""
+    policies = pd.read_parquet(DATA / "nineteen-2026-11" / "ddpg-discounted-with-0.99.parquet")
+    returns = policies[policies["pooled"]].groupby("dataset")["return"]
+    return {log: summarise(own.to_numpy()).tenth_percentile for log, own in returns}
 
 
 def _rank(ours: np.ndarray, theirs: np.ndarray) -> str:

@@ -22,6 +22,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "every_turbine": every_cell.turbine,
     "every_robot": every_cell.robots,
     "every_budget": every_cell.budgets,
+    "ddpg": every_cell.ddpg,
     "world": settings.world,
     "pace": settings.pace,
     "limits": settings.limits,
@@ -35,6 +36,10 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "caution": safety.caution,
     "caution_by": safety.caution_by,
     "first_drop": lambda: settings.study("table-6.1"),
+    "unconstrained": lambda: settings.study("figure-2.4"),
+    "beta": lambda: settings.study("figure-6.10"),
+    "ensemble": lambda: settings.study("figure-6.11"),
+    "eta": settings.chosen_blind,
 }
 
 

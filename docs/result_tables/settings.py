@@ -33,6 +33,22 @@ def study(name: str) -> str:
     return markdown(table, decimals(table))
 
 
+def chosen_blind() -> str:
+    """Figure 6.9: one row per log, errors at λ = 0 on unseen episodes by eta and Beta."""
+    table = pd.read_csv(DATA / "studies-2026-11" / "figure-6.9.csv")
+    table["of"] = [
+        f"η = {eta:g}, Beta({b:g})" for eta, b in zip(table.eta, table.beta, strict=True)
+    ]
+    wide = table.pivot(index="dataset", columns="of", values="error")
+    columns = list(dict.fromkeys(table["of"]))
+    clone = table.groupby("dataset")["clone"].first()
+    rows = (
+        [log, f"{clone[log]:.3f}", *(f"{wide.loc[log, column]:.3f}" for column in columns)]
+        for log in wide.index
+    )
+    return table_of(["dataset", "clone", *columns], rows)
+
+
 def pace() -> str:
     """One row per dataset and velocity limit of WSBC: real and expected returns on the way."""
     table = _velocities()
