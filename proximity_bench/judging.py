@@ -1,6 +1,7 @@
 """Judges policies by a part of their log that they have not learned from."""
 
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -82,6 +83,12 @@ def judge(
             raise ValueError(
                 f"{policy!r} sees {', '.join(policy.features)}, but {name} logs "
                 f"{', '.join(log.card.frame_features)}; judge it by a log of its own plant."
+            )
+        if policy.log is not None and policy.log.digest == log.card.digest:
+            warnings.warn(
+                f"{policy!r} has learned from this very log, so that its estimates flatter it; "
+                "judge it by the second part of pb.split.",
+                stacklevel=2,
             )
     where = chosen_device(device)
     keep_freed_memory()

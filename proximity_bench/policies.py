@@ -25,6 +25,7 @@ from components.policies.export import export_policy
 from components.policies.policy import Policy as StoredPolicy
 from components.policies.portable import Plant
 from components.policies.portable_check import Checked, drawn_states
+from proximity_bench.histories import checked_frames, warn_of_strangers
 from proximity_bench.progress import progress_bars
 
 __all__ = ["BEHAVIOUR", "FORMAT", "ORIGIN", "Policy"]
@@ -101,7 +102,7 @@ class Policy:
 
     def act(
         self,
-        history: npt.ArrayLike | pd.DataFrame,
+        history: npt.ArrayLike | pd.DataFrame | pd.Series,
         proximity: npt.ArrayLike | None = None,
         *,
         scaled: bool = False,
@@ -113,20 +114,24 @@ class Policy:
             history: `[T, F]` frames in the units of the log, the newest last, or `[B, T, F]` of B
                 machines. Fewer than `self.history` frames count as the beginning of an episode,
                 before which its first frame repeats; of more, the newest are taken. A DataFrame
-                gives its columns by name.
+                gives its columns by name, a Series is one of its rows. Frames must follow each
+                other at the log's interval within one episode: nothing here can see that.
             proximity: λ in [0, 1], or `[B]`; needed exactly by policies that take it.
             scaled: Return actions in [-1, 1] also where the log has bounds of its own.
             noise: From which BCQ and BEAR draw candidates; by default a stream of this policy.
 
         Returns:
             `[A]`, or `[B, A]`: in the units of the log where its card knows the bounds of the
-            actions, else in [-1, 1].
+            actions, else in [-1, 1]. A warning says so where a value lies so far from the log that
+            its unit or its place is hardly right.
 
         Raises:
             ValueError: Other widths, values that are missing or infinite, a proximity that is
                 missing, outside of [0, 1], or not wanted.
         """
-        frames = self._frames(history)  # [B, T, F] or [T, F]
+        frames = checked_frames(history, self.features)  # [B, T, F] or [T, F]
+        scaling = self._newest.frames
+        warn_of_strangers(frames, self.features, scaling.mean[0], scaling.scale[0])
         seen = frames if frames.ndim == 3 else frames[None]
         newest = history_rows(np.asarray(seen.shape[1] - 1), np.asarray(0), self.history)
         chosen = self._newest.act(
@@ -239,7 +244,10 @@ class Policy:
                 has other features, or a file that differs.
         """
         if log is not None and log.card.frame_features != self.features:
-            raise ValueError(f"The log {log.card.name} has other features; give {self._wanted}.")
+            raise ValueError(
+                f"The log {log.card.name} has other features; the policy sees "
+                f"{', '.join(self.features)}."
+            )
         newest, card = self._newest, self.log or (log.card if log is not None else None)
         if card is None:
             names = tuple(f"action {n}" for n in range(newest.card.actions))
@@ -265,39 +273,6 @@ class Policy:
     def _noise(self) -> np.random.Generator:
         key = lane_key(self.stack.card.dataset, self.algorithm, self.seed)
         return lane_generator(lane_key(key, "act"))
-
-    def _frames(self, history: npt.ArrayLike | pd.DataFrame) -> npt.NDArray[np.float32]:
-        """Checked frames ``[T, F]`` or ``[B, T, F]``."""
-        if isinstance(history, pd.DataFrame):
-            lacking = [name for name in self.features if name not in history.columns]
-            if lacking:
-                raise ValueError(f"The history lacks {', '.join(lacking)}; give {self._wanted}.")
-            history = history[list(self.features)]
-        try:
-            frames = np.asarray(history, dtype=np.float32)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"The history holds no plain numbers ({error}).") from error
-        if frames.ndim not in (2, 3) or 0 in frames.shape:
-            raise ValueError(
-                f"The history has the shape {frames.shape}; give [T, F] frames in the order of "
-                f"time, or [B, T, F], of {self._wanted}."
-            )
-        if frames.shape[-1] != len(self.features):
-            raise ValueError(
-                f"The history has {frames.shape[-1]} values a frame; give {self._wanted}."
-            )
-        wrong = ~np.isfinite(frames)
-        if wrong.any():
-            place = np.argwhere(wrong)[0]
-            raise ValueError(
-                f"The history holds {frames[tuple(place)]} for {self.features[place[-1]]!r} in "
-                f"frame {place[-2]}; the policy needs every value."
-            )
-        return frames
-
-    @property
-    def _wanted(self) -> str:
-        return f"the {len(self.features)} values {', '.join(self.features)}"
 
     def _proximity(self, given: npt.ArrayLike | None, machines: int) -> Tensor | None:
         """Checked proximities ``[1, B]``."""

@@ -18,9 +18,16 @@ def load(folder: str | Path) -> Policy:
 
     Raises:
         FileNotFoundError: There is none.
-        ValueError: It is damaged.
+        ValueError: It is damaged, or a file.
     """
     folder = Path(folder).expanduser()
+    if folder.is_file():
+        raise ValueError(
+            f"{folder} is a file: an exported policy runs in onnxruntime or PyTorch "
+            "(docs/export.md); here give the folder that `save` or a sweep has written."
+        )
+    if not folder.exists():
+        raise FileNotFoundError(f"There is no folder {folder}; give one that `save` has written.")
     stack = StoredPolicy.load(folder)
     seed, log = _of_sweep(folder) if not (folder / ORIGIN).exists() else _origin(folder / ORIGIN)
     if log is not None and (log.frame_features, log.history) != (

@@ -49,7 +49,7 @@ def array_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OfflineDataset:
     """Logged transitions of E episodes, N transitions in all.
 
@@ -70,6 +70,14 @@ class OfflineDataset:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     episode_starts: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        card = self.card
+        return (
+            f"OfflineDataset({card.name}: {self.transitions:,} transitions, episodes: "
+            f"{self.episodes:,}, features: {', '.join(card.frame_features)}, actions: "
+            f"{', '.join(card.action_features)})"
+        )
 
     @property
     def transitions(self) -> int:

@@ -106,6 +106,8 @@ def portable_card(
         for name, shape in input_shapes(card).items()
     }
     inputs["history"]["features"] = list(card.features)
+    moments = zip(policy.frames.mean[0].tolist(), policy.frames.scale[0].tolist(), strict=True)
+    inputs["history"]["usual"] = [{"mean": m, "deviation": s} for m, s in moments]
     if "proximity" in inputs:
         inputs["proximity"]["range"] = [0.0, 1.0]
     check: dict[str, Any] = {

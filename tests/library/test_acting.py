@@ -1,6 +1,7 @@
 """Policies of the library act on plain arrays: histories, units, proximities, refusals, storing."""
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,36 @@ def test_what_cannot_be_is_one_sentence(
     assert "\n" not in str(error.value)
 
 
+def test_rows_of_a_table_are_called_by_their_labels_and_one_may_be_given_alone() -> None:
+    table = pd.DataFrame(FRAMES, columns=list(FEATURES), index=range(40, 49))
+    table.insert(0, "time", pd.Timestamp("2026-03-01"))  # no feature, and no number
+    policy = made("bc")
+    np.testing.assert_array_equal(policy.act(table.iloc[-1]), policy.act(FRAMES[-1:]))
+    table.loc[43, "fatigue"] = np.nan
+    with pytest.raises(ValueError, match="holds nan for 'fatigue' in row 43"):
+        policy.act(table)
+
+
+@pytest.mark.parametrize("shape", ["one", "several"])
+def test_values_in_another_unit_or_order_are_warned_of(shape: str) -> None:
+    policy, strange = made("bc"), FRAMES.copy()
+    strange[5, 4] = 1e4
+    with pytest.warns(UserWarning, match=r"fatigue is 10000, \d+ standard deviations from"):
+        policy.act(strange if shape == "one" else np.stack([FRAMES, strange]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        policy.act(FRAMES)
+        policy.act(FRAMES + 5 * LOG.frames.std(axis=0))  # far, as a fault of the plant may be
+
+
+def test_what_is_no_folder_of_a_policy_says_what_is_meant(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="There is no folder"):
+        pb.load(tmp_path / "nothing")
+    (tmp_path / "policy.onnx").write_bytes(b"")
+    with pytest.raises(ValueError, match="an exported policy runs in onnxruntime"):
+        pb.load(tmp_path / "policy.onnx")
+
+
 def test_snapshots_are_known_by_their_updates() -> None:
     assert made().at(5).steps == (5,)
     with pytest.raises(ValueError, match=r"There is no snapshot of update 6; there are 5, 10\."):
@@ -217,5 +248,5 @@ def test_an_export_of_a_policy_without_a_log_numbers_its_actions(tmp_path: Path)
     output = json.loads(extra["card.json"])["output"]
     assert output["actions"] == ["action 0", "action 1", "action 2"]
     assert output["units"] == "scaled to [-1, 1]"
-    with pytest.raises(ValueError, match=r"^The log robot has other features; give the 6 values"):
+    with pytest.raises(ValueError, match=r"^The log robot has other features; the policy sees set"):
         made("bc").export(tmp_path / "other.pt2", ROBOT)

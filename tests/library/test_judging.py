@@ -8,6 +8,7 @@ import pytest
 
 import proximity_bench as pb
 from tests.components.synthetic import make_log
+from tests.library.test_training import LOG as LEARNED
 from tests.library.test_training import MODELS, trained
 
 LOG = make_log(episodes=8)
@@ -47,6 +48,11 @@ def test_policies_are_judged_best_first() -> None:
     # Products of other sizes are rounded otherwise.
     assert alone["fitted_q"] == pytest.approx(beside["fitted_q"], rel=1e-3)
     assert alone["model"] == pytest.approx(beside["model"], rel=1e-3)
+
+
+def test_a_log_that_a_policy_has_learned_from_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match="has learned from this very log"):
+        pb.judge(trained("bc", snapshots=1), LEARNED, **SMALL)
 
 
 def test_without_dynamics_on_the_card_critics_judge_alone() -> None:
