@@ -36,6 +36,8 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "caution": safety.caution,
     "caution_by": safety.caution_by,
     "first_drop": lambda: settings.study("table-6.1"),
+    "online": lambda: settings.study("figure-2.3"),
+    "without_models": lambda: settings.study("figure-6.12"),
     "unconstrained": lambda: settings.study("figure-2.4"),
     "beta": lambda: settings.study("figure-6.10"),
     "ensemble": lambda: settings.study("figure-6.11"),
