@@ -119,6 +119,7 @@ class JudgedLog:
         facts: Its card in words, by heading.
         doubts: Sentences on judges that contradict the log itself.
         progress: How far it is, if it is not finished.
+        guess: The λ that a ranking of logs would try at first, from and to; None without one.
     """
 
     name: str
@@ -128,6 +129,7 @@ class JudgedLog:
     facts: Mapping[str, str] = field(default_factory=dict)
     doubts: Sequence[str] = ()
     progress: Sequence[str] = ()
+    guess: tuple[float, float] | None = None
 
     @property
     def scale(self) -> float:

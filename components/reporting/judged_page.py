@@ -7,7 +7,8 @@ from components.reporting.frame import asked_for, html_table, rendered, total_ho
 from components.reporting.glossary import JUDGED_GLOSSARY
 from components.reporting.judged import Choice, Judged, JudgedLog, choice_table, digits_of
 from components.reporting.page_data import colours, plain
-from components.reporting.promises import FAR, promise
+from components.reporting.promises import promise
+from components.reporting.trial import FAR
 
 __all__ = ["JUDGED_PARTS", "judged_content", "judged_data", "judged_page"]
 

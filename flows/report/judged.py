@@ -14,6 +14,7 @@ from flows.pipeline.sweep_records import known_nodes
 from flows.report.costs import cost_table, software_table
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.other_tables import guesses_of
 from flows.report.selection import doubts, judged_policies
 from flows.report.software import software_notes
 from flows.report.stored_nodes import StoredSweep, read_stored_sweep
@@ -90,10 +91,12 @@ def judged_logs(
     Raises:
         DamagedFileError: A file behind it is missing or damaged.
     """
-    cards = {}
+    cards, keys = {}, {}
     for node in sweep.of("data_generation"):
         store.check(node.key, (_CARD,))
+        keys[node.tags["dataset"]] = node.key
         cards[node.tags["dataset"]] = DatasetCard.load(store.path(node.key) / _CARD)
+    guesses = guesses_of(store.root, keys)
     logs = []
     for dataset in judged_alone(sweep):
         own = policies[policies["dataset"] == dataset] if len(policies) else policies
@@ -108,6 +111,7 @@ def judged_logs(
                 facts={} if card is None else _facts(card, _held_out(sweep, dataset)),
                 doubts=doubts(own, [card]) if card is not None and len(own) else [],
                 progress=_progress(sweep, dataset),
+                guess=guesses.get(dataset),
             )
         )
     return logs
