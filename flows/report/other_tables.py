@@ -16,7 +16,7 @@ _SELECTION = {
     "algorithm": "algorithm",
     "proximity": "λ",
     "policies": "policies",
-    "score": "gain that the judge expects",
+    "score": "score",
     "true_return": "true return",
 }
 """Columns that are shown, and their headings."""

@@ -90,8 +90,9 @@ def write_selection(
     written = {"judgements": policies, "selection": table}
     lines = [
         "",
-        f"Judged from the log alone, best first by {DEFAULT_SCORE} (gain over the behaviour "
-        "policy; docs/judging.md):",
+        f"Judged from the log alone, best first by the score {DEFAULT_SCORE}: the gain over the "
+        "behaviour policy that the ensemble expects (the critics where there is none), less a "
+        "price for steps outside of the log (docs/judging.md).",
         "",
         *selection_markdown(table).splitlines(),
         "",
