@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 from matplotlib.figure import Figure
 
 from components.reporting.judged_page import JUDGED_PARTS
+from components.reporting.promises import promise
 from flows import import_log
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
@@ -92,6 +94,11 @@ def test_a_page_shows_what_was_judged_and_that_it_was_never_tried(
     assert sorted(own.store.root.rglob("*")) == before, "nothing is written there"
     said = capsys.readouterr().out
     assert "Judged from the log alone, never tried." in said
+    [log] = gather_judged(own.store, ["own"]).logs
+    for sentence in promise(log).first:
+        assert sentence in said
+        assert sentence in (tmp_path / "report.md").read_text(encoding="utf-8")
+        assert escape(sentence) in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "figures=true: judged policies have no figures but those of the page." in said
     assert {p.name for p in tmp_path.iterdir()} == {"report.html", "report.md", "policies.parquet"}
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
@@ -127,6 +134,22 @@ def test_what_is_not_finished_is_said(own: Own, tmp_path: Path) -> None:
     [log] = gather_judged(ArtifactStore(store, create=False), ["own"]).logs
     assert log.progress == ["Not finished: lion: 1 of 2 seeds judged, 2 trained."]
     assert {choice.algorithm: choice.policies for choice in log.choices} == {"bc": 2, "lion": 1}
+
+
+@pytest.mark.slow(1)
+@pytest.mark.parametrize(
+    ("gone", "finished"),
+    [("judge/", "0 of 4 so far"), ("judge/lion/furnace/seed1", "3 of 4 so far")],
+)
+def test_a_sweep_that_was_stopped_says_how_much_is_judged(
+    own: Own, tmp_path: Path, gone: str, finished: str
+) -> None:
+    store = ArtifactStore(partial_store(own, tmp_path, gone))
+    [note] = [n for n in current_report(tmp_path / "report", own.plan, store).below if "Note" in n]
+    assert note == (
+        "Note: furnace has no system to evaluate on: its policies are judged from its log alone, "
+        f"{finished}; the same command again continues."
+    )
 
 
 @pytest.mark.slow(1)
