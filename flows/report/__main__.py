@@ -90,7 +90,7 @@ def report(settings: ReportSettings) -> int:
     evidence = gather(store, names)
     files = write_files(folder, evidence, settings.format, figures=settings.figures)
     finished, missing = len(evidence.cells), len(evidence.gaps)
-    print(f"{finished} of {finished + missing} cells are finished.")
+    print(f"{finished} of {finished + missing} cells of the table are finished.")
     _name(files)
     return 0
 
