@@ -2,7 +2,6 @@
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +117,7 @@ def judge(
                 "seed": policy.seed,
                 "step": policy.steps[-1],
                 "proximity": np.asarray(one.proximities),
-                **asdict(judgement),
+                **judgement.estimates,
                 **{f"{estimate}_usual": getattr(usual, estimate)[0] for estimate in ESTIMATES},
             }
         )

@@ -1,7 +1,7 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -195,7 +195,7 @@ def judged_policies(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
             "seed": int(node.tags["seed"]),
             "step": steps.ravel(),
             "proximity": proximities.ravel(),
-            **{f.name: found[f.name].ravel() for f in fields(Judgement)},
+            **{name: found[name].ravel() for name in Judgement.names()},
             **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in _USUAL},
             "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),
