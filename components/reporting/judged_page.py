@@ -57,7 +57,8 @@ def judged_content(logs: Sequence[JudgedLog]) -> list[dict[str, Any]]:
     return [
         {
             "name": log.name,
-            "promise": promise(log),
+            "promise": (said := promise(log)),
+            "leads": None if said.leads.empty else html_table(said.leads),
             "figure": f"figure-judged-{number}",
             "facts": log.facts,
             "table": html_table(choice_table(log), digits_of(log)) if log.choices else None,

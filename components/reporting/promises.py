@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import pandas as pd
 
 from components.reporting.judged import Choice, JudgedLog
+from components.reporting.leads import lead_table, strays
 from components.reporting.trial import (
     FAR,
     SURE,
@@ -38,6 +39,7 @@ class Promise:
         warnings: Why not to believe it.
         first: What to try first.
         run: Of the policy to try first; empty if none is.
+        leads: Where it, and what would be chosen, lead the plant: empty where that is not known.
     """
 
     log: str
@@ -47,6 +49,7 @@ class Promise:
     warnings: Sequence[str] = ()
     first: Sequence[str] = ()
     run: str = ""
+    leads: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 def promise(log: JudgedLog) -> Promise:
@@ -68,15 +71,22 @@ def promise(log: JudgedLog) -> Promise:
         headline = "Leave it as it is"
         return Promise(log.name, "none", headline, [*said, *log.progress], log.doubts, first)
     judgement, headline = _judge(log, best)
-    first, run = first_steps(log, best)
+    first, start = first_steps(log, best)
+    shown = list(dict.fromkeys(choice.name for choice in (start, best) if choice is not None))
+    named = {choice.name: choice.leads for choice in log.choices if choice.name in shown}
     return Promise(
         log.name,
         judgement,
         headline,
         [*_chosen(log, best), *log.progress],
-        [*warnings, *_higher(log, best)],
+        [
+            *warnings,
+            *(said for name in shown for said in strays(name, named[name])),
+            *_higher(log, best),
+        ],
         first,
-        run,
+        start.run if start is not None else "",
+        lead_table({name: named[name] for name in shown}),
     )
 
 

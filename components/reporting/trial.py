@@ -61,31 +61,31 @@ def agreed(choice: Choice) -> bool:
     return all(gain.value > 0.0 for gain in choice.gains.values())
 
 
-def first_steps(log: JudgedLog, best: Choice) -> tuple[list[str], str]:
-    """How to begin on the plant, and the run of the policy to begin with.
+def first_steps(log: JudgedLog, best: Choice) -> tuple[list[str], Choice | None]:
+    """How to begin on the plant, and with which policy.
 
     Args:
         log: What was judged.
         best: What the judge would choose, better than the behaviour by its score.
 
     Returns:
-        Sentences; the run is empty where no policy is to be tried.
+        Sentences; None where no policy is to be tried.
     """
     if log.doubts:
         return [
             "Nothing yet: judges that do not know what the log itself has earned know no policy. "
             "Fit them longer (model.recurrent_ensemble.updates, judging.estimates.updates) or with "
             "more episodes, and judge again."
-        ], ""
+        ], None
     fixed = _fixed(log)
     if (start := _smallest(log, best, agreed)) is not None:
-        return [*_begin(log, best, start), *_onwards(log, start)], start.run
+        return [*_begin(log, best, start), *_onwards(log, start)], start
     if fixed is best:
-        return [f"Try {best.name} ({_told(log, best)}) {_SHORTLY}: {_NO_DIAL}."], best.run
+        return [f"Try {best.name} ({_told(log, best)}) {_SHORTLY}: {_NO_DIAL}."], best
     if (start := _smallest(log, best, _no_loss)) is not None:
-        return [*_begin(log, best, start), *_onwards(log, start)], start.run
+        return [*_begin(log, best, start), *_onwards(log, start)], start
     if not agreed(best):
-        return _not_agreed(log, best), ""
+        return _not_agreed(log, best), None
     return _unfamiliar(log, best, fixed)
 
 
@@ -200,7 +200,9 @@ def _not_agreed(log: JudgedLog, best: Choice) -> list[str]:
     return said
 
 
-def _unfamiliar(log: JudgedLog, best: Choice, fixed: Choice | None) -> tuple[list[str], str]:
+def _unfamiliar(
+    log: JudgedLog, best: Choice, fixed: Choice | None
+) -> tuple[list[str], Choice | None]:
     """That what is promised lies outside of the log, and where to begin then."""
     own = _dial(log, best.algorithm)
     if best.proximity is None:
@@ -214,15 +216,15 @@ def _unfamiliar(log: JudgedLog, best: Choice, fixed: Choice | None) -> tuple[lis
         ]
     if fixed is not None:
         said.append(f"Try {fixed.name} ({_told(log, fixed)}) {_SHORTLY}: {_NO_DIAL}.")
-        return said, fixed.run
+        return said, fixed
     zero = next((c for c in own if _at(c) == 0.0), None)
     if zero is None or not _no_loss(zero):
-        return [*said, "Begin with the logged behaviour: leave the plant as it is."], ""
+        return [*said, "Begin with the logged behaviour: leave the plant as it is."], None
     said.append(
         f"Begin with the logged behaviour, or with {zero.name}, which is to imitate it "
         f"({_told(log, zero)}), {_SHORTLY}."
     )
-    return [*said, *_onwards(log, zero)], zero.run
+    return [*said, *_onwards(log, zero)], zero
 
 
 def _at(choice: Choice) -> float:

@@ -22,6 +22,7 @@ from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
+from flows.report.leads import expected_frames
 from flows.tasks.judging import JUDGEMENT
 
 __all__ = [
@@ -71,7 +72,10 @@ def write_selection(
     store: ArtifactStore,
     cards: Sequence[DatasetCard],
 ) -> Selection:
-    """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
+    """Write `judgements.csv` and `selection.csv`.
+
+    Where it is known where policies lead, also `frames.csv`, and where true returns are known,
+    `judges.csv`.
 
     Args:
         folder: Of the report.
@@ -88,6 +92,9 @@ def write_selection(
     policies = scored(policies)
     table = selection_table(policies, DEFAULT_SCORE)
     written = {"judgements": policies, "selection": table}
+    frames = expected_frames(done, store)
+    if not frames.empty:
+        written["frames"] = frames
     lines = [
         "",
         f"Judged from the log alone, best first by the score {DEFAULT_SCORE}: the gain over the "

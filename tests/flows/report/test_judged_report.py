@@ -11,6 +11,7 @@ import pytest
 from markupsafe import escape
 from matplotlib.figure import Figure
 
+from components.core.files import read_json, write_json
 from components.reporting.judged_page import JUDGED_PARTS
 from components.reporting.promises import promise
 from flows import import_log
@@ -25,6 +26,7 @@ from flows.report.__main__ import load_report_settings, report
 from flows.report.current import current_report
 from flows.report.gather import gather
 from flows.report.judged import gather_judged
+from flows.report.leads import expected_frames
 from tests.browser import visited
 from tests.flows.furnace import as_csv, furnace, write_schema
 from tests.flows.grid import finished
@@ -126,6 +128,47 @@ def test_its_numbers_are_those_of_the_sweeps_own_tables(own: Own, tmp_path: Path
     assert [c.score for c in log.choices] == pytest.approx(selection["score"].tolist())
     gains = [c.expected.value for c in log.choices]
     assert gains == pytest.approx((selection["model"] - selection["model_usual"]).tolist())
+
+
+@pytest.mark.slow(1)
+def test_where_policies_lead_is_shown_beside_the_log(own: Own, tmp_path: Path) -> None:
+    frames = expected_frames(list(own.plan), own.store)
+    assert len(frames) == 2 * (1 + 11) * 2  # seeds, policies and λ, columns
+    assert (frames["low"] <= frames["high"]).all()
+    assert set(frames["feature"]) == {"temperature", EVIL}
+    [split] = [node for node in own.plan if node.name == "data/furnace/judge"]
+    logged = np.load(own.store.path(split.key) / "dataset" / "frames.npy")
+    for column, name in enumerate(("temperature", EVIL)):
+        row = frames[frames["feature"] == name].iloc[0]
+        assert (row["least"], row["greatest"]) == pytest.approx(
+            (logged[:, column].min(), logged[:, column].max())
+        )
+    [log] = gather_judged(own.store, ["own"]).logs
+    assert all(len(choice.leads) == 2 for choice in log.choices)
+    lion = next(c for c in log.choices if c.proximity == 1.0)
+    at = (frames["proximity"] == 1.0) & (frames["feature"] == "temperature")
+    assert lion.leads[0].high == frames[at]["high"].max()
+    current_report(tmp_path / "report", own.plan, own.store)
+    written = pd.read_csv(tmp_path / "report" / "frames.csv")
+    pd.testing.assert_frame_equal(written, frames, check_dtype=False)  # a log is in float32
+
+
+@pytest.mark.slow(1)
+def test_judgements_of_before_lack_where_policies_lead(own: Own, tmp_path: Path) -> None:
+    store = ArtifactStore(partial_store(own, tmp_path, "judge/"))
+    for node in own.plan:
+        if node.component == "judgement":
+            shutil.copytree(own.store.path(node.key), store.path(node.key))
+            file = store.path(node.key) / "judgement.npz"
+            with np.load(file) as stored:
+                old = {n: stored[n] for n in stored.files if not n.endswith("frames")}
+            np.savez(file, **old)
+            record = store.path(node.key) / "node.json"
+            content = read_json(record)
+            write_json(record, {k: v for k, v in content.items() if k not in ("files", "digest")})
+    [log] = gather_judged(store, ["own"]).logs
+    assert len(log.choices) == 12
+    assert not any(choice.leads for choice in log.choices)
 
 
 @pytest.mark.slow(1)
