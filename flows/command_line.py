@@ -89,7 +89,7 @@ def main(
     body: Callable[[Settings], int],
     aliases: Mapping[str, str] = ALIASES,
 ) -> None:
-    """Run a door with checked settings, or show them, and exit, see `run_door`.
+    """Run the door of a sweep with checked settings, or show them, and exit, see `run_door`.
 
     Args:
         door: Its name.
@@ -103,6 +103,7 @@ def main(
         help_text,
         lambda words: load_settings(words, aliases),
         lambda settings: show_or_do(settings, body),
+        resumes=True,
     )
 
 

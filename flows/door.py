@@ -18,6 +18,8 @@ def run_door(
     help_text: str,
     load: Callable[[Sequence[str]], Loaded],
     body: Callable[[Loaded], int],
+    *,
+    resumes: bool = False,
 ) -> None:
     """Run a door and exit: 2 for bad input, 1 for failure, 130 after Ctrl-C, else 0.
 
@@ -29,6 +31,7 @@ def run_door(
         help_text: Its help.
         load: Makes settings of the words of the command line.
         body: Its work.
+        resumes: Whether the same command goes on where an interrupted one has stopped.
     """
     arguments = sys.argv[1:]
     if any(word in ("-h", "--help", "help") for word in arguments):
@@ -44,7 +47,8 @@ def run_door(
         print(f"{door}: {error}", file=sys.stderr)
         code = 1
     except KeyboardInterrupt:
-        print(f"{door}: interrupted; give the same command again to continue.", file=sys.stderr)
+        how = "; give the same command again to continue" if resumes else ""
+        print(f"{door}: interrupted{how}.", file=sys.stderr)
         code = exit_code()
         _forget_interrupt()
     sys.exit(code)

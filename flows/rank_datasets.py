@@ -19,6 +19,7 @@ from components.reporting.ranking import (
     clip_table,
     correlation_table,
     markdown,
+    ranked_for_people,
     ranking_table,
 )
 from components.reporting.ranking_figures import clip_figure, ranking_figure
@@ -77,6 +78,9 @@ _SHOWN = {
     "thesis_tri_rank": "thesis   ",
 }
 """Columns of the table that is printed. Headings differ by blanks, which Markdown does not show."""
+_RANKS = (
+    "Ranks count from 1, the least; the thesis's table 4.1 and ranking.csv count them from 0.\n"
+)
 _DIGITS = {"return_mean": 1, "return_max": 1, "eri": 3, "eas": 3, "tri": 3}
 
 
@@ -110,11 +114,12 @@ def _measured(
 
 def _shown(table: pd.DataFrame) -> str:
     """The table that is printed."""
-    columns = {name: heading for name, heading in _SHOWN.items() if name in table}
+    shown = ranked_for_people(table)
+    columns = {name: heading for name, heading in _SHOWN.items() if name in shown}
     if table.filter(like="thesis_").isna().all(axis=None):
         columns = {k: v for k, v in columns.items() if not k.startswith("thesis_")}
     digits = {v: _DIGITS.get(k, 0) for k, v in columns.items() if k != "dataset"}
-    return markdown(table[list(columns)].rename(columns=columns), digits)
+    return markdown(shown[list(columns)].rename(columns=columns), digits)
 
 
 def _sentences(table: pd.DataFrame) -> list[str]:
@@ -139,6 +144,8 @@ def _written(
     clip = settings.ranking.stochasticity.clip
     table, clips = ranking_table(logs, algorithm), clip_table(logs)
     parts = [_shown(table)]
+    if len(table) > 1:
+        parts.append(_RANKS)
     if algorithm:
         parts.append(f"TRI is the improvement by {algorithm}, in the sweep {results.sweep}.\n")
     correlations = correlation_table(logs)

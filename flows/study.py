@@ -101,4 +101,4 @@ def _study(study: Study, settings: Settings) -> int:
 
 
 if __name__ == "__main__":
-    run_door("study", HELP, _load, _run)
+    run_door("study", HELP, _load, _run, resumes=True)

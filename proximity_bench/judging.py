@@ -3,7 +3,6 @@
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +65,9 @@ def judge(
         settings: Of the judges, e.g. ``updates=500`` of the critics or ``proximity_step=0.05``.
 
     Returns:
-        A row a policy and proximity, the greatest gain first: ``algorithm``, ``seed``, ``step``,
-        ``proximity``, ``gain`` (over the log's behaviour policy, by the default score), all
-        estimates, and those of the behaviour policy as ``NAME_usual``.
+        A row a policy and proximity, the best first: ``algorithm``, ``seed``, ``step``,
+        ``proximity``, ``score`` (the gain over the log's behaviour policy, less a price for steps
+        outside of the log), all estimates, and those of the behaviour policy as ``NAME_usual``.
 
     Raises:
         ValueError: An unknown setting, or a log that does not suit; one sentence.
@@ -125,15 +124,15 @@ def judge(
                 "seed": policy.seed,
                 "step": policy.steps[-1],
                 "proximity": np.asarray(one.proximities),
-                **asdict(judgement),
+                **judgement.estimates,
                 **{f"{estimate}_usual": getattr(usual, estimate)[0] for estimate in ESTIMATES},
             }
         )
         for policy, one, judgement in zip(several, judged, found, strict=True)
     ]
     table = scored(pd.concat(rows, ignore_index=True)).drop(columns="promised")
-    table.insert(4, "gain", table[f"score_{DEFAULT_SCORE}"])
-    return table.sort_values("gain", ascending=False, kind="stable", ignore_index=True)
+    table.insert(4, "score", table[f"score_{DEFAULT_SCORE}"])
+    return table.sort_values("score", ascending=False, kind="stable", ignore_index=True)
 
 
 def _settings(

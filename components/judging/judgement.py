@@ -8,6 +8,9 @@
   (:mod:`.support`); without an ensemble, of its actions in logged states.
 - ``promised``: gain over the behaviour policy in the ensemble that the policy was trained in, where
   there is one: what training believes. It is no judge, since the policy was chosen by it.
+
+Beside what policies are worth stands where they lead, ``frames``: between which values nearly all
+frames of the trajectories in the ensemble lie.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,7 +43,10 @@ _BLOCK = 4096  # states of the log in which policies act together
 
 @dataclass(frozen=True)
 class Judgement:
-    """Estimates of Q policies, ``[Q]`` each; NaN where there is no ensemble to make them."""
+    """Estimates of Q policies, ``[Q]`` each; NaN where there is no ensemble to make them.
+
+    The ``frames`` are ``[Q, 2, F]``: low and high ends, in the units of the log.
+    """
 
     model: NDArray[np.float64]
     model_error: NDArray[np.float64]
@@ -50,6 +56,17 @@ class Judgement:
     distance: NDArray[np.float64]
     outside: NDArray[np.float64]
     promised: NDArray[np.float64]
+    frames: NDArray[np.float64]
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Of the estimates, without the frames."""
+        return [f.name for f in fields(cls) if f.name != "frames"]
+
+    @property
+    def estimates(self) -> dict[str, NDArray[np.float64]]:
+        """By name, ``[Q]`` each."""
+        return {name: getattr(self, name) for name in self.names()}
 
     def part(self, policies: slice) -> "Judgement":
         """Estimates of some of the policies."""
@@ -129,6 +146,14 @@ def judge(
         distance=_joined(distances),
         outside=np.concatenate([support.outside(pairs.numpy()) for pairs in visited]),
         promised=_joined(promised),
+        frames=_joined(
+            [
+                torch.full((one.count, 2, dataset.frames.shape[1]), torch.nan)
+                if found is None
+                else found.frames
+                for found, one in zip(values, judged, strict=True)
+            ]
+        ),
     )
     ends = np.cumsum([one.count for one in judged])
     return [

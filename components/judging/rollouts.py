@@ -5,6 +5,7 @@ the values they give it. The same start states serve all policies and all member
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -23,7 +24,10 @@ from components.models.recurrent_ensemble.ensemble import RecurrentEnsemble
 from components.models.recurrent_ensemble.transition import RecurrentTransition
 from components.models.transition.model_environment import ModelEnvironment, discounted_sum
 
-__all__ = ["VirtualValues", "VirtualWorld"]
+__all__ = ["NEARLY", "VirtualValues", "VirtualWorld"]
+
+NEARLY: Final = (0.01, 0.99)
+"""Quantiles between which nearly all frames of virtual trajectories lie."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +37,12 @@ class VirtualValues:
     Attributes:
         returns: ``[Q, K, B]`` discounted returns from B start states.
         visited: ``[Q, V, F + A]`` some frames on the way, each with the action taken there.
+        width: F.
     """
 
     returns: Tensor
     visited: Tensor
+    width: int
 
     @property
     def mean(self) -> Tensor:
@@ -54,6 +60,13 @@ class VirtualValues:
     def least(self) -> Tensor:
         """Value by the member that gives the least, ``[Q]``."""
         return self.returns.mean(dim=2).amin(dim=1)
+
+    @property
+    def frames(self) -> Tensor:
+        """Between which values nearly all frames on the way lie, ``[Q, 2, F]``: :data:`NEARLY`."""
+        frames = self.visited[..., : self.width].double()
+        ends = torch.tensor(NEARLY, dtype=frames.dtype)
+        return torch.quantile(frames, ends, dim=1).transpose(0, 1)
 
 
 class VirtualWorld:
@@ -132,7 +145,7 @@ class VirtualWorld:
                 visited.append(by_policy[:, chosen])
         total = discounted_sum(rewards, card.discount)
         returns = total.view(members, count, starts).transpose(0, 1)
-        return VirtualValues(returns.cpu(), torch.cat(visited, dim=1).cpu())
+        return VirtualValues(returns.cpu(), torch.cat(visited, dim=1).cpu(), histories[1])
 
     def _looked_at(self, members: int) -> dict[int, Tensor]:
         """Trajectories among K * B by step: V places spread over all steps and trajectories."""

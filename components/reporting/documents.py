@@ -75,6 +75,12 @@ def _of_logs(logs: Sequence[JudgedLog]) -> list[str]:
         parts.append(
             f"## {log.name}: {said.headline}\n\n" + "".join(f"- {line}\n" for line in lines if line)
         )
+        if not said.leads.empty:
+            parts.append(
+                "Where that leads: between which values nearly everything lies (98 %) that the "
+                "ensemble expects, and all of the judges' part of the log.\n"
+            )
+            parts.append(markdown(said.leads, {}))
         parts.append("".join(f"- {name}: {text}\n" for name, text in log.facts.items()))
         if log.choices:
             table = choice_table(log)

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import pandas as pd
 
 from components.aggregation.selection import DEFAULT_SCORE
+from components.reporting.leads import Lead
 from components.reporting.selection import selection_table
 
 __all__ = [
@@ -65,6 +66,7 @@ class Choice:
         usually_outside: That of the behaviour itself.
         promised: Gain in the ensemble that they were trained in; None where there was none.
         run: Run of the seed that scores best.
+        leads: Where the ensemble expects it to lead the plant; empty where that is not known.
     """
 
     algorithm: str
@@ -79,6 +81,7 @@ class Choice:
     usually_outside: float
     promised: float | None
     run: str
+    leads: Sequence[Lead] = ()
 
     @property
     def name(self) -> str:
@@ -119,6 +122,7 @@ class JudgedLog:
         facts: Its card in words, by heading.
         doubts: Sentences on judges that contradict the log itself.
         progress: How far it is, if it is not finished.
+        guess: The λ that a ranking of logs would try at first, from and to; None without one.
     """
 
     name: str
@@ -128,6 +132,7 @@ class JudgedLog:
     facts: Mapping[str, str] = field(default_factory=dict)
     doubts: Sequence[str] = ()
     progress: Sequence[str] = ()
+    guess: tuple[float, float] | None = None
 
     @property
     def scale(self) -> float:
@@ -182,19 +187,24 @@ def algorithms_of(logs: Sequence[JudgedLog]) -> list[str]:
     return list(dict.fromkeys(choice.algorithm for log in logs for choice in log.choices))
 
 
-def choices(policies: pd.DataFrame) -> list[Choice]:
+def choices(
+    policies: pd.DataFrame, leads: Mapping[tuple[str, float | None], Sequence[Lead]] | None = None
+) -> list[Choice]:
     """What can be chosen on one log, best first by the default score.
 
     Args:
         policies: Of :func:`components.aggregation.selection.scored`, one row a policy of the log,
             with the errors of the behaviour policy's estimates and the ``run`` of each.
+        leads: Where policies lead, by algorithm and λ, as far as it is known.
     """
     best = policies.sort_values(f"score_{DEFAULT_SCORE}", ascending=False, kind="stable")
     runs: dict[tuple[str, float | None], str] = {}
     for name, place, run in zip(best["algorithm"], best["proximity"], best["run"], strict=True):
         runs.setdefault((str(name), _known(float(place))), str(run))
     table = selection_table(policies.drop(columns="run"), DEFAULT_SCORE)
-    return [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
+    found = [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
+    known = leads or {}
+    return [replace(c, leads=known.get((c.algorithm, c.proximity), ())) for c in found]
 
 
 def choice_table(log: JudgedLog) -> pd.DataFrame:

@@ -7,7 +7,8 @@ from components.reporting.frame import asked_for, html_table, rendered, total_ho
 from components.reporting.glossary import JUDGED_GLOSSARY
 from components.reporting.judged import Choice, Judged, JudgedLog, choice_table, digits_of
 from components.reporting.page_data import colours, plain
-from components.reporting.promises import FAR, promise
+from components.reporting.promises import promise
+from components.reporting.trial import FAR
 
 __all__ = ["JUDGED_PARTS", "judged_content", "judged_data", "judged_page"]
 
@@ -56,7 +57,8 @@ def judged_content(logs: Sequence[JudgedLog]) -> list[dict[str, Any]]:
     return [
         {
             "name": log.name,
-            "promise": promise(log),
+            "promise": (said := promise(log)),
+            "leads": None if said.leads.empty else html_table(said.leads),
             "figure": f"figure-judged-{number}",
             "facts": log.facts,
             "table": html_table(choice_table(log), digits_of(log)) if log.choices else None,

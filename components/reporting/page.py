@@ -11,6 +11,7 @@ from components.reporting.glossary import GLOSSARY, JUDGED_TERMS
 from components.reporting.judged_page import judged_content, judged_data
 from components.reporting.overview import Column, Value, shown
 from components.reporting.page_data import page_data
+from components.reporting.ranking import ranked_for_people
 from components.reporting.verdicts import verdicts
 
 __all__ = ["PARTS", "page"]
@@ -70,7 +71,9 @@ def page(evidence: Evidence) -> str:
         adapts=any(cell.adapts for cell in evidence.cells.values()),
         adapting=list(dict.fromkeys(c.dataset for c in evidence.cells.values() if c.adapts)),
         finished=list(dict.fromkeys(c.dataset for c in evidence.cells.values())),
-        ranking=None if evidence.ranking is None else html_table(evidence.ranking),
+        ranking=None
+        if evidence.ranking is None
+        else html_table(ranked_for_people(evidence.ranking)),
         selection=None if evidence.selection is None else html_table(evidence.selection),
         judges=None if evidence.judges is None else html_table(evidence.judges),
         total=total_hours(evidence.costs),

@@ -2,22 +2,25 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import pandas as pd
 
-from components.reporting.judged import Choice, Gain, JudgedLog
+from components.reporting.judged import Choice, JudgedLog
+from components.reporting.leads import lead_table, strays
+from components.reporting.trial import (
+    FAR,
+    SURE,
+    expectations,
+    first_steps,
+    percent,
+    with_gain,
+    with_sign,
+)
 
-__all__ = ["FAR", "Promise", "promise", "with_sign"]
+__all__ = ["Promise", "promise"]
 
-FAR: Final = 0.25
-"""Share of steps outside of the support from which a warning is due.
-
-On the furnace of docs/worked_example.md promises came true at 0.12 and 0.58 and not at 0.46: there
-is no sharp edge, and what is said is a warning, not a verdict.
-"""
-_SURE: Final = 2.0  # errors that a gain is to exceed
 _FEW: Final = 4  # choices of which an order says little
 _MUCH_MORE: Final = 1.5  # times the chosen gain, from which a higher promise is worth a word
 
@@ -36,6 +39,7 @@ class Promise:
         warnings: Why not to believe it.
         first: What to try first.
         run: Of the policy to try first; empty if none is.
+        leads: Where it, and what would be chosen, lead the plant: empty where that is not known.
     """
 
     log: str
@@ -45,6 +49,7 @@ class Promise:
     warnings: Sequence[str] = ()
     first: Sequence[str] = ()
     run: str = ""
+    leads: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 def promise(log: JudgedLog) -> Promise:
@@ -60,37 +65,29 @@ def promise(log: JudgedLog) -> Promise:
         said = [
             "No judged policy is expected to be better than the behaviour in the log, once steps "
             f"outside of the log are charged for. The best is {best.name}: "
-            f"{_expectations(log, best)}."
+            f"{expectations(log, best)}."
         ]
         first = ["Nothing: leave the plant as it is. A log with more variety may hold more."]
         headline = "Leave it as it is"
         return Promise(log.name, "none", headline, [*said, *log.progress], log.doubts, first)
     judgement, headline = _judge(log, best)
-    first, run = _first(log, best)
+    first, start = first_steps(log, best)
+    shown = list(dict.fromkeys(choice.name for choice in (start, best) if choice is not None))
+    named = {choice.name: choice.leads for choice in log.choices if choice.name in shown}
     return Promise(
         log.name,
         judgement,
         headline,
         [*_chosen(log, best), *log.progress],
-        [*warnings, *_higher(log, best)],
+        [
+            *warnings,
+            *(said for name in shown for said in strays(name, named[name])),
+            *_higher(log, best),
+        ],
         first,
-        run,
+        start.run if start is not None else "",
+        lead_table({name: named[name] for name in shown}),
     )
-
-
-def with_sign(log: JudgedLog, value: float) -> str:
-    """A difference of returns with as many decimals as the log's returns need."""
-    if not math.isfinite(value):
-        return "not finite"
-    return f"{round(value, log.decimals) + 0.0:+,.{log.decimals}f}"
-
-
-def _gain(log: JudgedLog, gain: Gain) -> str:
-    return f"{with_sign(log, gain.value)} ± {gain.error:,.{log.decimals}f}"
-
-
-def _expectations(log: JudgedLog, choice: Choice) -> str:
-    return ", ".join(f"{name} {_gain(log, gain)}" for name, gain in choice.gains.items())
 
 
 def _judge(log: JudgedLog, best: Choice) -> tuple[Judgement, str]:
@@ -100,7 +97,7 @@ def _judge(log: JudgedLog, best: Choice) -> tuple[Judgement, str]:
         return "unsure", "The judges contradict each other"
     if best.outside >= FAR:
         return "unsure", "A promise from outside of the log"
-    if any(gain.value < _SURE * gain.error for gain in best.gains.values()):
+    if any(gain.value < SURE * gain.error for gain in best.gains.values()):
         return "unsure", "A gain that may be chance"
     return "gain", "Worth a careful trial"
 
@@ -121,7 +118,9 @@ def _chosen(log: JudgedLog, best: Choice) -> list[str]:
     if best.model is None:
         said.append("No ensemble was fitted to this log: fitted critics judge alone.")
     else:
-        said.append(f"That is by the ensemble; fitted critics expect {_gain(log, best.critics)}.")
+        said.append(
+            f"That is by the ensemble; fitted critics expect {with_gain(log, best.critics)}."
+        )
     if best.sceptical is not None:
         value = with_sign(log, best.sceptical)
         said.append(f"By the ensemble's least favourable member for either it is {value}.")
@@ -129,8 +128,8 @@ def _chosen(log: JudgedLog, best: Choice) -> list[str]:
         said.append("It was trained once: with another seed it may come out otherwise.")
     if best.outside < FAR:
         said.append(
-            f"{_percent(best.outside)} of its steps lie outside of what the log has seen "
-            f"({_percent(best.usually_outside)} of the behaviour's own)."
+            f"{percent(best.outside)} of its steps lie outside of what the log has seen "
+            f"({percent(best.usually_outside)} of the behaviour's own)."
         )
     return said
 
@@ -140,10 +139,10 @@ def _contradictions(log: JudgedLog, best: Choice) -> list[str]:
     said = []
     if best.model is not None:
         apart = abs(best.model.value - best.critics.value)
-        both = _expectations(log, best)
+        both = expectations(log, best)
         if _opposed(best):
             said.append(f"The judges contradict each other on {best.name}: {both}.")
-        elif apart > _SURE * math.hypot(best.model.error, best.critics.error):
+        elif apart > SURE * math.hypot(best.model.error, best.critics.error):
             said.append(f"The judges differ on {best.name} by more than their errors: {both}.")
     pairs = [(c.model.value, c.critics.value) for c in log.choices if c.model is not None]
     if len(pairs) >= _FEW:
@@ -166,7 +165,7 @@ def _outside(best: Choice) -> list[str]:
     if best.outside < FAR:
         return []
     return [
-        f"{_percent(best.outside)} of the steps of {best.name} lie outside of what the log has "
+        f"{percent(best.outside)} of the steps of {best.name} lie outside of what the log has "
         "seen. Nobody has been there: judges only extrapolate, and may all be wrong together."
     ]
 
@@ -184,72 +183,8 @@ def _higher(log: JudgedLog, best: Choice) -> list[str]:
     value = with_sign(log, highest.expected.value)
     return [
         f"Do not be tempted by {highest.name}: {value} is promised, "
-        f"but {_percent(highest.outside)} of its steps lie outside of what the log has seen."
+        f"but {percent(highest.outside)} of its steps lie outside of what the log has seen."
     ]
-
-
-def _start(log: JudgedLog, best: Choice) -> Choice:
-    """The smallest λ of the chosen algorithm at which all judges expect a gain, if it takes one.
-
-    Of an algorithm with a dial, that is where a careful trial begins. Where a fixed policy scores
-    best, a policy with a dial of which all judges expect a gain still is the better beginning.
-    """
-    hopeful = [c for c in log.choices if c.proximity and c.score > 0.0 and _agreed(c)]
-    dials = [c.algorithm for c in hopeful]
-    dial = best.algorithm if best.proximity is not None else next(iter(dials), "")
-    highest = math.inf if best.proximity is None else best.proximity
-    own = [c for c in hopeful if c.algorithm == dial and (c.proximity or 0.0) <= highest]
-    return min(own, key=lambda choice: choice.proximity or 0.0, default=best)
-
-
-def _agreed(choice: Choice) -> bool:
-    """Whether all judges expect a gain."""
-    return all(gain.value > 0.0 for gain in choice.gains.values())
-
-
-def _first(log: JudgedLog, best: Choice) -> tuple[list[str], str]:
-    """How to begin on the plant, and the run of the policy to begin with; empty for none."""
-    if log.doubts:
-        return [
-            "Nothing yet: judges that do not know what the log itself has earned know no policy. "
-            "Fit them longer (model.recurrent_ensemble.updates, judging.estimates.updates) or with "
-            "more episodes, and judge again."
-        ], ""
-    start = _start(log, best)
-    outside = f"{_percent(start.outside)} of the steps outside of what the log has seen"
-    expected = f"{_expectations(log, start)}, {outside}"
-    if not _agreed(start):
-        said = [f"Nothing yet: the judges do not agree that {start.name} is a gain ({expected})."]
-        if start.proximity is not None:
-            said.append(
-                f"If {start.algorithm} at all, then from λ 0, which does what was always done, up "
-                "in small steps."
-            )
-        return said, ""
-    if start.proximity is None:
-        return [
-            f"Try {start.name} ({expected}) for a short time and under supervision: it has no λ "
-            "by which it could be turned down, it can only be switched off."
-        ], start.run
-    all_judges = "all judges expect" if len(start.gains) > 1 else "the judge expects"
-    said = [
-        f"Begin with {start.name}, the smallest judged λ at which {all_judges} a gain ({expected})."
-    ]
-    if best.proximity is None:
-        said.append(f"{best.name} scores best, but has no λ by which it could be turned down.")
-    limit = next(c for c in log.choices if c.algorithm == start.algorithm)  # of its best score
-    if (limit.proximity or 0.0) > start.proximity:
-        said.append(
-            "Then go up in steps, and only as long as the plant itself shows the gain; the judge "
-            f"would not go beyond λ {limit.proximity:.2f}."
-        )
-    else:
-        said.append(f"With {start.algorithm} the judge would go no further.")
-    return said, start.run
-
-
-def _percent(share: float) -> str:
-    return f"{share:.0%}" if math.isfinite(share) else "An unknown share"
 
 
 def _plain(log: JudgedLog, value: float) -> str:

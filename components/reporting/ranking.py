@@ -29,6 +29,7 @@ __all__ = [
     "clip_table",
     "correlation_table",
     "markdown",
+    "ranked_for_people",
     "ranking_table",
     "thesis_ranks",
     "true_improvements",
@@ -132,6 +133,17 @@ def ranking_table(logs: Sequence[Measured], algorithm: str | None) -> pd.DataFra
         found = ranks(published[table.loc[known, "dataset"]])
         table[f"thesis_{name}"] = pd.Series(found, table.index[known], dtype="float64")
     return table.sort_values("coi_rank", ascending=False, kind="stable").reset_index(drop=True)
+
+
+def ranked_for_people(table: pd.DataFrame) -> pd.DataFrame:
+    """The table as it is shown: ranks count from 1, and a single log has none.
+
+    Those of :func:`ranking_table` count from 0, as the thesis's published ones do.
+    """
+    names = [str(name) for name in table if str(name).endswith("_rank")]
+    if len(table) < 2:
+        return table.drop(columns=names)
+    return table.assign(**{name: table[name] + 1 for name in names})
 
 
 def true_improvements(logs: Sequence[Measured]) -> dict[str, pd.Series]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
+import numpy as np
 import pandas as pd
 
 from components.aggregation.selection import quality
@@ -15,18 +16,19 @@ _SHOWN: Final = {
     "algorithm": "algorithm",
     "proximity": "proximity",
     "policies": "policies",
-    "score": "gain",
-    "model": "model",
+    "score": "score",
+    "model": "gain, ensemble",
     "model_error": "±",
-    "fitted_q": "fitted Q",
+    "fitted_q": "gain, critics",
     "fitted_q_error": "± ",
-    "distance": "distance",
     "outside": "outside",
+    "distance": "distance",
 }
-"""Columns that are printed. Headings differ by blanks, which Markdown does not show."""
+"""Columns that are printed, headed as on the report's page. Headings differ by blanks, which
+Markdown does not show."""
 _DIGITS: Final = {"proximity": 2, "policies": 0, "distance": 2, "outside": 2}
 _FIRST: Final = 12
-"""Rows of a dataset that are printed."""
+"""Rows of a dataset that are printed, beside the best row of every algorithm."""
 
 
 def selection_table(policies: pd.DataFrame, score: str) -> pd.DataFrame:
@@ -37,8 +39,8 @@ def selection_table(policies: pd.DataFrame, score: str) -> pd.DataFrame:
         score: Name of the score by which they are ordered.
 
     Returns:
-        Columns ``dataset``, ``algorithm``, ``proximity``, ``policies`` (how many), ``score`` (mean
-        gain over the behaviour policy), the means of all estimates and scores, the errors of the
+        Columns ``dataset``, ``algorithm``, ``proximity``, ``policies`` (how many), ``score`` (its
+        mean; 0 is the behaviour policy's), the means of all estimates and scores, the errors of the
         estimates, and ``true_return``.
     """
     columns = [str(name) for name in policies]
@@ -64,10 +66,19 @@ _KEYS: Final = ("dataset", "algorithm", "proximity", "seed", "step", "policy")
 
 
 def selection_markdown(table: pd.DataFrame) -> str:
-    """The first rows of every dataset of :func:`selection_table`."""
-    first = table.groupby("dataset", sort=False).head(_FIRST)
+    """The first rows of every dataset of :func:`selection_table`, and the best of every algorithm.
+
+    Estimates are shown as gains over the behaviour policy, with the errors of both together.
+    """
+    first = table.groupby("dataset", sort=False).cumcount() < _FIRST
+    best = ~table.duplicated(["dataset", "algorithm"])
+    shown = table[first | best]
+    gains = {name: shown[name] - shown[f"{name}_usual"] for name in ("model", "fitted_q")} | {
+        name: np.hypot(shown[name], shown[f"{name}_usual"])
+        for name in ("model_error", "fitted_q_error")
+    }
     digits = {v: _DIGITS.get(k, 1) for k, v in _SHOWN.items() if k not in ("dataset", "algorithm")}
-    return markdown(first[list(_SHOWN)].rename(columns=_SHOWN), digits)
+    return markdown(shown.assign(**gains)[list(_SHOWN)].rename(columns=_SHOWN), digits)
 
 
 def judge_table(

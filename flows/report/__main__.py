@@ -90,7 +90,7 @@ def report(settings: ReportSettings) -> int:
     evidence = gather(store, names)
     files = write_files(folder, evidence, settings.format, figures=settings.figures)
     finished, missing = len(evidence.cells), len(evidence.gaps)
-    print(f"{finished} of {finished + missing} cells are finished.")
+    print(f"{finished} of {finished + missing} cells of the table are finished.")
     _name(files)
     return 0
 
@@ -107,7 +107,10 @@ def _judged(
     judged = gather_judged(store, names)
     files = write_judged(folder, judged, settings.format)
     for log in judged.logs:
-        print(f"{log.name}: {promise(log).headline}. Judged from the log alone, never tried.")
+        said = promise(log)
+        print(f"{log.name}: {said.headline}. Judged from the log alone, never tried.")
+        if said.first:
+            print(f"What to try first. {' '.join(said.first)}")
         for line in log.progress:
             print(line)
     if settings.figures:

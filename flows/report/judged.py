@@ -9,11 +9,14 @@ import pandas as pd
 from components.aggregation.selection import scored
 from components.data.card import DatasetCard
 from components.reporting.judged import Judged, JudgedLog, Returns, choices
+from components.reporting.leads import leads_of
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import known_nodes
 from flows.report.costs import cost_table, software_table
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.leads import expected_frames
+from flows.report.other_tables import guesses_of
 from flows.report.selection import doubts, judged_policies
 from flows.report.software import software_notes
 from flows.report.stored_nodes import StoredSweep, read_stored_sweep
@@ -90,24 +93,32 @@ def judged_logs(
     Raises:
         DamagedFileError: A file behind it is missing or damaged.
     """
-    cards = {}
+    cards, keys = {}, {}
     for node in sweep.of("data_generation"):
         store.check(node.key, (_CARD,))
+        keys[node.tags["dataset"]] = node.key
         cards[node.tags["dataset"]] = DatasetCard.load(store.path(node.key) / _CARD)
+    guesses = guesses_of(store.root, keys)
+    frames = expected_frames(sweep.done, store)
     logs = []
     for dataset in judged_alone(sweep):
         own = policies[policies["dataset"] == dataset] if len(policies) else policies
         labelled = own.assign(algorithm=own["algorithm"] + suffix) if len(own) else own
         card = cards.get(dataset)
+        leads = frames
+        if len(frames):
+            leads = frames[frames["dataset"] == dataset]
+            leads = leads.assign(algorithm=leads["algorithm"] + suffix)
         logs.append(
             JudgedLog(
                 name=dataset + suffix,
                 dataset=dataset,
-                choices=choices(labelled) if len(own) else [],
+                choices=choices(labelled, leads_of(leads)) if len(own) else [],
                 returns=None if card is None else _returns(card),
                 facts={} if card is None else _facts(card, _held_out(sweep, dataset)),
                 doubts=doubts(own, [card]) if card is not None and len(own) else [],
                 progress=_progress(sweep, dataset),
+                guess=guesses.get(dataset),
             )
         )
     return logs

@@ -7,7 +7,7 @@ import pandas as pd
 
 from flows.pipeline.sweep_records import known_nodes
 
-__all__ = ["judges_of", "ranking_of", "selection_of"]
+__all__ = ["guesses_of", "judges_of", "ranking_of", "selection_of"]
 
 _FIRST = 3  # policies of a dataset that a report shows
 _SELECTION = {
@@ -16,7 +16,7 @@ _SELECTION = {
     "algorithm": "algorithm",
     "proximity": "λ",
     "policies": "policies",
-    "score": "gain that the judge expects",
+    "score": "score",
     "true_return": "true return",
 }
 """Columns that are shown, and their headings."""
@@ -38,6 +38,20 @@ def ranking_of(root: Path, datasets: Mapping[str, str]) -> pd.DataFrame | None:
         if len(own) > (0 if best is None else len(best)):
             best = own
     return best
+
+
+def guesses_of(root: Path, datasets: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    """By dataset, the λ that a ranking would try at first, from and to, where there is one.
+
+    Args:
+        root: Folder of the store.
+        datasets: As :func:`ranking_of` takes them.
+    """
+    ranking = ranking_of(root, datasets)
+    if ranking is None:
+        return {}
+    columns = (ranking[name] for name in ("dataset", "proximity_from", "proximity_to"))
+    return {str(name): (float(low), float(high)) for name, low, high in zip(*columns, strict=True)}
 
 
 def selection_of(root: Path, sweeps: Sequence[str]) -> pd.DataFrame | None:

@@ -1,7 +1,8 @@
 """The report of a sweep: table and figures of everything that is finished."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from components.reporting.tables import (
 )
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
+from flows.planning.judging import LEAST_EPISODES
 from flows.report.comparison import comparable_behaviour, compare
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
@@ -36,10 +38,6 @@ from flows.report.software import software_notes
 
 __all__ = ["Report", "write_report"]
 
-_NOT_JUDGED = (
-    "stored but not evaluated; a judgement from the log takes four episodes, and judging.policies "
-    "must not be none."
-)
 _CARD = "dataset/card.json"
 
 
@@ -52,7 +50,7 @@ class Report:
         table: One row per dataset, algorithm and proximity.
         overview: One row per dataset, one column per algorithm.
         summaries: The stored summaries behind the rows.
-        without_system: Datasets whose policies cannot be evaluated.
+        untried: Datasets whose policies cannot be evaluated, and what becomes of these.
         fit_notes: Sentences about models whose fit ended early.
         software: A sentence if rows come from different software or devices.
         graphs: Sentences about trainings that have lost their CUDA graphs.
@@ -65,7 +63,7 @@ class Report:
     table: pd.DataFrame
     overview: Overview
     summaries: Sequence[Mapping[str, Any]]
-    without_system: Sequence[str]
+    untried: Mapping[str, str]
     fit_notes: Sequence[str] = ()
     software: Sequence[str] = ()
     graphs: Sequence[str] = ()
@@ -76,16 +74,14 @@ class Report:
     @property
     def notes(self) -> list[str]:
         """Sentences about what the table does not show."""
-        reason = "has no system to evaluate on: its policies are "
-        judged = {True: "judged from its log alone.", False: _NOT_JUDGED}
         return [
             *self.comparison,
             *self.fit_notes,
             *ended_notes(self.summaries),
             *undefined_notes(self.summaries),
             *(
-                f"{name} {reason}{judged[name in self.selection.datasets]}"
-                for name in self.without_system
+                f"{name} has no system to evaluate on: its policies are {said}"
+                for name, said in self.untried.items()
             ),
             *self.software,
             *self.graphs,
@@ -162,7 +158,7 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
         table,
         overview(table, logged, comparison.thesis, comparison.footnotes),
         summaries,
-        _without_system(plan),
+        _untried(plan, done, cards),
         fit_notes(done, store),
         software_notes(aggregations, store),
         graph_notes(done, store),
@@ -186,13 +182,33 @@ def _summary(cell: Node, store: ArtifactStore) -> dict[str, Any]:
     return with_intervals(stored, cell_returns(cell, store), cell.config["pool_fraction"])
 
 
-def _without_system(plan: Plan) -> list[str]:
-    """Datasets of the plan with policies and no evaluation."""
-    trained, evaluated = (
-        {node.tags["dataset"] for node in plan if node.component == component}
-        for component in ("policy_training", "evaluation")
-    )
-    return sorted(trained - evaluated)
+def _untried(plan: Plan, done: Sequence[Node], cards: Sequence[DatasetCard]) -> dict[str, str]:
+    """Datasets of the plan with policies and no evaluation, and what becomes of their policies."""
+
+    def counted(nodes: Iterable[Node], component: str) -> Counter[str]:
+        return Counter(node.tags["dataset"] for node in nodes if node.component == component)
+
+    trained, evaluated = counted(plan, "policy_training"), counted(plan, "evaluation")
+    wanted, judged = counted(plan, "judgement"), counted(done, "judgement")
+    episodes = {card.name: card.trajectories for card in cards}
+    found = {}
+    for name in sorted(trained.keys() - evaluated.keys()):
+        if wanted[name] and judged[name] == wanted[name]:
+            found[name] = "judged from its log alone."
+        elif wanted[name]:
+            found[name] = (
+                f"judged from its log alone, {judged[name]} of {wanted[name]} so far; the same "
+                "command again continues."
+            )
+        elif episodes.get(name, LEAST_EPISODES) < LEAST_EPISODES:
+            found[name] = (
+                f"stored but not evaluated; a judgement from the log takes {LEAST_EPISODES} "
+                f"episodes, and it has {episodes[name]}."
+            )
+        else:
+            why = ", since judging.policies=none" if name in episodes else ""
+            found[name] = f"stored but neither evaluated nor judged{why}."
+    return found
 
 
 def _drawn(

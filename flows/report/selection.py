@@ -1,7 +1,7 @@
 """Judgements of a sweep as a table: one row per policy, with the true return where it is known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +22,7 @@ from components.reporting.ranking import markdown
 from components.reporting.selection import judge_table, selection_markdown, selection_table
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
+from flows.report.leads import expected_frames
 from flows.tasks.judging import JUDGEMENT
 
 __all__ = [
@@ -71,7 +72,10 @@ def write_selection(
     store: ArtifactStore,
     cards: Sequence[DatasetCard],
 ) -> Selection:
-    """Write `judgements.csv`, `selection.csv` and, where true returns are known, `judges.csv`.
+    """Write `judgements.csv` and `selection.csv`.
+
+    Where it is known where policies lead, also `frames.csv`, and where true returns are known,
+    `judges.csv`.
 
     Args:
         folder: Of the report.
@@ -88,10 +92,14 @@ def write_selection(
     policies = scored(policies)
     table = selection_table(policies, DEFAULT_SCORE)
     written = {"judgements": policies, "selection": table}
+    frames = expected_frames(done, store)
+    if not frames.empty:
+        written["frames"] = frames
     lines = [
         "",
-        f"Judged from the log alone, best first by {DEFAULT_SCORE} (gain over the behaviour "
-        "policy; docs/judging.md):",
+        f"Judged from the log alone, best first by the score {DEFAULT_SCORE}: the gain over the "
+        "behaviour policy that the ensemble expects (the critics where there is none), less a "
+        "price for steps outside of the log (docs/judging.md).",
         "",
         *selection_markdown(table).splitlines(),
         "",
@@ -194,7 +202,7 @@ def judged_policies(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
             "seed": int(node.tags["seed"]),
             "step": steps.ravel(),
             "proximity": proximities.ravel(),
-            **{f.name: found[f.name].ravel() for f in fields(Judgement)},
+            **{name: found[name].ravel() for name in Judgement.names()},
             **{f"{name}_usual": float(found[f"behaviour/{name}"][0]) for name in _USUAL},
             "policy": policy.key,
             "true_return": np.full(shape, np.nan).ravel(),

@@ -1,11 +1,11 @@
 """Judgement of policies from a log as a task function; the policies of a log arrive together."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields
 
 import numpy as np
 import torch
 
+from components.data.dataset import OfflineDataset
 from components.judging.config import JudgeConfig
 from components.judging.judged import JudgedPolicies
 from components.judging.judgement import Judgement, judge
@@ -27,7 +27,9 @@ __all__ = ["JUDGEMENT", "judge_policies"]
 
 JUDGEMENT = "judgement.npz"
 """File of an artifact: every estimate `[snapshots, proximities]`, that of the behaviour policy in
-`behaviour/...`, `steps` and `proximities`."""
+`behaviour/...`, `steps` and `proximities`; the ends of the `frames` in the ensemble `[snapshots,
+proximities, 2, F]`, and those of the log's part `logged_frames` `[2, F]`. Judgements of before lack
+both."""
 
 
 def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -39,8 +41,9 @@ def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
     reference = JudgedPolicies.of(behaviour, ())
     judged = [_judged(job, config) for job in jobs]
     own = [_ensemble(job, "trained_in") for job in jobs]
+    dataset = open_dataset(first)
     usual, *found = judge(
-        open_dataset(first),
+        dataset,
         _ensemble(first, "recurrent_ensemble"),
         behaviour,
         [reference, *judged],
@@ -52,7 +55,7 @@ def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
         progress=context.progress,
     )
     for job, one, judgement in zip(jobs, judged, found, strict=True):
-        _write(job, one, judgement, usual)
+        _write(job, one, judgement, usual, dataset)
 
 
 def _ensemble(job: Job, role: str) -> RecurrentEnsemble | None:
@@ -68,16 +71,24 @@ def _judged(job: Job, config: JudgeConfig) -> JudgedPolicies:
     return JudgedPolicies.of(policy.select(last, policy.card), config.proximities)
 
 
-def _write(job: Job, judged: JudgedPolicies, judgement: Judgement, usual: Judgement) -> None:
+def _write(
+    job: Job,
+    judged: JudgedPolicies,
+    judgement: Judgement,
+    usual: Judgement,
+    dataset: OfflineDataset,
+) -> None:
     shape = judged.policy.lanes, len(judged.proximities)
-    estimates = {name: values.reshape(shape) for name, values in asdict(judgement).items()}
+    estimates = {name: values.reshape(shape) for name, values in judgement.estimates.items()}
     with (job.out / JUDGEMENT).open("wb") as file:
         np.savez(
             file,
             steps=np.asarray(judged.policy.card.steps[-shape[0] :]),
             proximities=np.asarray(judged.proximities),
             **estimates,
-            **{f"behaviour/{f.name}": getattr(usual, f.name) for f in fields(usual)},
+            frames=judgement.frames.reshape(*shape, *judgement.frames.shape[1:]),
+            logged_frames=np.stack([dataset.frames.min(axis=0), dataset.frames.max(axis=0)]),
+            **{f"behaviour/{name}": values for name, values in usual.estimates.items()},
         )
     last = {name: values[-1] for name, values in estimates.items()}
     if judged.policy.card.takes_proximity:

@@ -41,13 +41,16 @@ def test_an_interrupt_while_a_command_imports_leaves_no_traceback(
     assert done.stdout == ""
 
 
-def test_the_exit_code_does_not_depend_on_where_a_command_was_interrupted(tmp_path: Path) -> None:
+@pytest.mark.parametrize("resumes", [True, False])
+def test_the_exit_code_does_not_depend_on_where_a_command_was_interrupted(
+    tmp_path: Path, resumes: bool
+) -> None:
     """CPython itself would end with SIGINT after an interrupt inside code made from a text."""
     (tmp_path / "here.py").write_text(
         "import signal\n"
         "from flows.door import run_door\n"
         "def body(words): exec('signal.raise_signal(signal.SIGTERM)')\n"
-        "run_door('here', '', list, body)\n",
+        f"run_door('here', '', list, body, resumes={resumes})\n",
         encoding="utf-8",
     )
     done = subprocess.run(
@@ -58,4 +61,5 @@ def test_the_exit_code_does_not_depend_on_where_a_command_was_interrupted(tmp_pa
         check=False,
     )
     assert done.returncode == 128 + signal.SIGTERM
-    assert done.stderr == "here: interrupted; give the same command again to continue.\n"
+    more = "; give the same command again to continue" if resumes else ""
+    assert done.stderr == f"here: interrupted{more}.\n", "said where something continues"

@@ -90,6 +90,13 @@ def test_a_ranking_beside_the_results_of_a_sweep(
     said = capsys.readouterr().out
     assert "TRI is the improvement by lion at its best λ, in the sweep full." in said
     assert "true improvement by moose" in said
+    assert "Ranks count from 1, the least" in said
+    head, _, *rows = [line for line in said.splitlines() if line.startswith("| ")][:5]
+    at = [cell.strip() for cell in head.split("|")].index("COI rank")
+    assert [int(row.split("|")[at]) for row in rows] == [3, 2, 1]
+    alone = rank_datasets._shown(table.reset_index().head(1))
+    assert "ERI" in alone
+    assert "rank" not in alone, "a single log has none"
     assert said.count("First guess of λ: 0.00 to ") == 3
     assert (folder / "ranking.md").read_text(encoding="utf-8").strip() in said
     [record] = tmp_path.glob("tracking/ranking-*.jsonl")

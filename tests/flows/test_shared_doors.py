@@ -52,7 +52,7 @@ def test_doors_find_a_sweep_behind_a_url(
         stop(load_stop_words([word]))
 
     assert report(load_report_settings([word, "format=markdown"])) == 0
-    assert "1 of 1 cells are finished." in capsys.readouterr().out
+    assert "1 of 1 cells of the table are finished." in capsys.readouterr().out
     assert verify(load_verify_settings([word])) == 0
     assert "Nothing is damaged." in capsys.readouterr().out
 

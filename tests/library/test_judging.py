@@ -40,7 +40,7 @@ def test_policies_are_judged_best_first() -> None:
     assert len(table) == 3 + 1
     assert set(table["algorithm"]) == {"lion", "bc"}
     assert (table["step"] == 6).all()
-    assert table["gain"].is_monotonic_decreasing
+    assert table["score"].is_monotonic_decreasing
     assert np.isfinite(table.drop(columns=["algorithm", "proximity"])).all(axis=None)
     assert table.loc[table["algorithm"] == "bc", "proximity"].isna().all()
     alone = pb.judge(bc, LOG, **SMALL).iloc[0]
@@ -59,7 +59,7 @@ def test_without_dynamics_on_the_card_critics_judge_alone() -> None:
     bare = replace(LOG, card=replace(LOG.card, dynamics={}))
     table = pb.judge(trained("bc", snapshots=1), bare, **SMALL)
     assert np.isnan(table["model"]).all()
-    assert np.isfinite(table["gain"]).all()
+    assert np.isfinite(table["score"]).all()
 
 
 @pytest.mark.parametrize(

@@ -135,11 +135,26 @@ def test_a_judgement_does_not_depend_on_the_other_policies() -> None:
     assert both[1].model.shape == (6,)
 
 
+def test_where_policies_lead_lies_between_the_frames_on_the_way() -> None:
+    world = VirtualWorld(LOG, CONFIG, CPU)
+    found = world.values(random_ensemble(LOG, "e"), JudgedPolicies.of(steered_policy(), (0.0, 1.0)))
+    low, high = found.frames.unbind(dim=1)
+    assert low.shape == (4, len(LOG.card.frame_features))
+    seen = found.visited[..., : low.shape[1]]
+    inside = (seen >= low[:, None]) & (seen <= high[:, None])
+    # Of 50 frames the first and the last of every feature lie beyond the 1st and 99th percentile.
+    assert (inside.sum(dim=1) >= 48).all()
+    assert (low >= seen.amin(dim=1)).all()
+    assert (high <= seen.amax(dim=1)).all()
+    assert not torch.equal(low[0], low[1]), "λ leads elsewhere"
+
+
 def test_without_an_ensemble_critics_and_the_support_remain() -> None:
     behaviour = random_policy(LOG, ("behaviour",))
     far = JudgedPolicies.of(constant_policy([0.99, -0.99, 0.99]), ())
     [found] = judge(LOG, None, behaviour, [far], [None], CONFIG, CPU, names="a")
     assert np.isnan(found.model).all()
+    assert np.isnan(found.frames).all()
     assert np.isfinite(found.fitted_q).all()
     # Half of the log's actions are random, so most of these lie within; of its own, 1 % do not.
     assert found.outside > 0.05

@@ -53,6 +53,62 @@ def test_lambda_is_raised_no_further_than_the_judge_would() -> None:
     assert told.first[1] == "With lion the judge would go no further."
 
 
+def test_lambda_0_counts_and_what_leaves_the_log_is_no_beginning() -> None:
+    """As on a tank, whose λ = 0.1 drove the level far out of the log."""
+    told = dial((0.0, 4, 5, 0.24), (0.1, 7, 8, 0.54), (0.2, 10, 10, 0.78), (1.0, 150, 150, 1.0))
+    assert told.first[0].startswith("Begin with lion at λ 0.00, the smallest judged λ at which all")
+    assert "at λ 0.10 already 54% of the steps lie outside" in told.first[1]
+    assert told.first[1].endswith("and the judge would not go beyond λ 1.00.")
+    assert told.run == "lion/timid/seed0"
+
+
+def test_a_familiar_lambda_is_preferred_and_said_to_be_so() -> None:
+    told = dial((0.0, 4, 5, 0.30), (0.1, 7, 8, 0.10), (0.2, 30, 30, 0.78))
+    assert told.first[0].startswith("Begin with lion at λ 0.10,")
+    assert "expect a gain and less than a quarter of the steps lie outside" in told.first[0]
+
+
+def test_a_beginning_without_a_gain_is_better_than_one_outside_of_the_log() -> None:
+    told = dial((0.0, -1, 0.5, 0.05), (0.1, 7, 8, 0.54), (0.2, 80, 80, 0.78))
+    assert told.first[0].startswith("Begin with lion at λ 0.00,")
+    assert "no judge expects a loss that is more than chance" in told.first[0]
+    assert told.first[1].startswith("Where all judges expect a gain, a quarter of the steps")
+
+
+@pytest.mark.parametrize("zero", [(0.0, 4, 5, 0.26), (0.0, -9, -9, 0.05)])
+def test_where_no_lambda_is_promising_and_familiar_that_is_said(
+    zero: tuple[float, float, float, float],
+) -> None:
+    points = zero, (0.1, 7.0, 8.0, 0.54), (0.2, 80.0, 80.0, 0.78)
+    told = dial(*points)
+    least = "26%" if zero[1] > 0 else "54%"
+    assert told.first[0] == (
+        "No judged λ of lion is both promising and familiar: where all judges expect a gain, "
+        f"{least} of the steps or more lie outside of what the log has seen."
+    )
+    assert told.first[1].startswith("Begin with the logged behaviour")
+    assert ("lion at λ 0.00, which is to imitate it" in told.first[1]) == (zero[1] > 0)
+    assert bool(told.run) == (zero[1] > 0), "a λ 0 that loses is no beginning"
+    beside = of(lion=points, bc=[(NAN, 2, 2, 0.03)])
+    assert beside.first[0] == told.first[0]
+    assert beside.first[1].startswith("Try bc (the ensemble +2.0")
+    assert beside.run == "bc/timid/seed0"
+
+
+def test_a_fixed_policy_outside_of_the_log_is_not_tried() -> None:
+    told = of(td3_bc=[(NAN, 90, 90, 0.9)])
+    assert told.first[0].startswith("td3_bc is promising, but not familiar (the ensemble +90.0")
+    assert told.first[1] == "Begin with the logged behaviour: leave the plant as it is."
+    assert told.run == ""
+
+
+def test_the_first_guess_of_a_ranking_stands_beside_the_judges() -> None:
+    ranked = promise(log(guess=(0.0, 0.05)))
+    assert ranked.first[:-1] == promise(log()).first
+    assert ranked.first[-1].startswith("How much the log explores lets one guess a λ of 0.00 to 0.")
+    assert "0.00 and no more at first" in promise(log(guess=(0.0, 0.0))).first[-1]
+
+
 @pytest.mark.parametrize(
     ("point", "judgement", "headline", "warning"),
     [

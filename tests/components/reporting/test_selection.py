@@ -24,6 +24,7 @@ def policies() -> pd.DataFrame:
         fitted_q_error=0.4, promised=np.nan, **same,
     )  # fmt: skip
     usual = {"model": -10, "model_least": -11, "fitted_q": -10, **same}
+    usual |= {"model_error": 0.4, "fitted_q_error": 0.3}
     return scored(table.assign(**{f"{name}_usual": value for name, value in usual.items()}))
 
 
@@ -45,13 +46,26 @@ def test_errors_hold_those_of_the_policies_and_their_spread() -> None:
     assert first["model_error"].tolist() == pytest.approx([alike, alike, apart])
 
 
-def test_only_the_first_rows_of_every_log_are_printed() -> None:
-    many = pd.concat(
-        [policies().assign(algorithm=lambda t, n=n: t["algorithm"] + str(n)) for n in range(9)]
+def test_only_the_first_rows_of_every_log_are_printed_and_the_best_of_every_algorithm() -> None:
+    lion = policies().query("algorithm == 'lion'")
+    bc = policies().query("algorithm == 'bc'").assign(score_model=-99.0)
+    many = [lion.assign(proximity=lion["proximity"] + 2 * n) for n in range(9)]
+    text = selection_markdown(selection_table(pd.concat([*many, bc]), "model"))
+    for log in ("second", "first"):
+        rows = [line for line in text.splitlines() if f"| {log} " in line]
+        assert [f"| {name} " in row for row in rows for name in ("lion", "bc")].count(True) == 13
+        assert "| bc " in rows[-1], "a single row of 19, and the last one"
+
+
+def test_what_is_printed_are_gains_beside_the_score() -> None:
+    table = selection_table(policies(), "cautious_0.5").query("algorithm == 'bc'").head(1)
+    head, _, row = (
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in selection_markdown(table.assign(score=-7.0, model_error=0.3)).splitlines()
     )
-    text = selection_markdown(selection_table(many, "model"))
-    assert text.count("| second ") == text.count("| first ") == 12
-    assert "gain" in text
+    at = head.index("score")
+    assert head[at : at + 3] == ["score", "gain, ensemble", "±"]
+    assert row[at : at + 3] == ["-7.0", "1.0", "0.5"], "0.5 of the policy's 0.3, the log's 0.4"
 
 
 def test_judges_are_measured_where_true_returns_are_known() -> None:

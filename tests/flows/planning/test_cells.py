@@ -7,9 +7,12 @@ import pytest
 from flows.configuration.settings import load_settings
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
+from flows.pipeline.sweep_records import SweepRecord
 from flows.planning.benchmark import benchmark_plan
 from flows.planning.cells import cells_line
 from flows.planning.memory import least_stored, needs
+from flows.status.grid import cells
+from flows.status.sweep_state import SweepState
 from tests.conftest import SmokeRun
 
 OF = "cells (datasets x algorithms x seeds)"
@@ -18,9 +21,21 @@ OF = "cells (datasets x algorithms x seeds)"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], f"19 x 10 x 5 = 950 {OF}, beside them 190 of bc, lion."),
-        (["profile=quick"], f"4 x 2 x 2 = 16 {OF}, beside them 16 of bc, lion."),
-        (["profile=quick", "algorithms=[lion]"], "8 policies of lion."),
+        (
+            [],
+            f"19 x 12 x 5 = 1,140 {OF}: the thesis's 19 x 10 x 5 = 950, and beside them 190 of bc, "
+            "lion.",
+        ),
+        (
+            ["profile=quick"],
+            f"4 x 4 x 2 = 32 {OF}: the thesis's 4 x 2 x 2 = 16, and beside them 16 of bc, lion.",
+        ),
+        (["profile=quick", "algorithms=[lion]"], f"4 x 1 x 2 = 8 {OF}."),
+        (["profile=quick", "algorithms=[td3_bc]"], f"4 x 1 x 2 = 8 {OF}."),
+        (
+            ["profile=quick", "algorithms=[bc]", "datasets=[bad-0.0]", "seeds=[3]"],
+            f"1 x 1 x 1 = 1 {OF.replace('cells', 'cell')}.",
+        ),
         (
             ["profile=quick", "algorithms=[mopo]", "mopo_penalties=[0.1,0.2,0.3]"],
             f"4 x 3 x 2 = 24 {OF}.",
@@ -29,7 +44,11 @@ OF = "cells (datasets x algorithms x seeds)"
 )
 def test_cells_are_named_as_such(words: list[str], said: str) -> None:
     settings = load_settings(words)
-    assert cells_line(settings, benchmark_plan(settings)) == said
+    plan = benchmark_plan(settings)
+    assert cells_line(settings, plan) == said
+    state = SweepState(SweepRecord.of("some", "", plan), plan, None, "unknown", frozenset())
+    counted = cells(state)["total"]
+    assert f"= {counted:,} cell" in said, "the sweep's status counts the same ones"
 
 
 def test_disk_and_memory_are_told_beside_what_there_is(

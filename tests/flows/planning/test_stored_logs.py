@@ -175,7 +175,10 @@ def test_policies_from_a_log_of_a_registered_system_are_evaluated_there(project:
 
 @pytest.mark.parametrize(
     ("wanted", "said"),
-    [("auto", "judged from its log alone."), ("none", "stored but not evaluated; a judgement")],
+    [
+        ("auto", "judged from its log alone."),
+        ("none", "stored but neither evaluated nor judged, since judging.policies=none."),
+    ],
 )
 def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
     project: Path, capsys: pytest.CaptureFixture[str], wanted: str, said: str
@@ -193,6 +196,16 @@ def test_the_door_succeeds_and_says_that_policies_are_not_evaluated(
         row = pd.read_csv(table[0]).iloc[0]
         assert (row["dataset"], row["algorithm"], row["policies"]) == ("my-log", "bc", 2)
         assert np.isfinite(row["score"])
+
+
+def test_a_log_of_too_few_episodes_is_said_to_be_so(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replaced(project, make_log(episodes=3))
+    words = ("algorithms=[bc]", "runner.executor=serial", f"store={project / 'store'}")
+    assert full_benchmark._run(chosen(*words)) == 0
+    said = "a judgement from the log takes 4 episodes, and it has 3."
+    assert f"its policies are stored but not evaluated; {said}" in capsys.readouterr().out
 
 
 def test_a_path_that_leads_nowhere_ends_in_one_sentence(project: Path) -> None:

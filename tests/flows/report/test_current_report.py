@@ -24,7 +24,7 @@ POINT = dict.fromkeys(["tenth_percentile", "standard_error", "mean", "std", "iqm
 
 class Card:
     name, environment = "mediocre-0.2", INDUSTRIAL_BENCHMARK_ID
-    first_window_return_mean, return_steps, discount = -2.0, 100, 0.97
+    first_window_return_mean, return_steps, discount, trajectories = -2.0, 100, 0.97, 4
 
 
 def finish(store: ArtifactStore, node: Node, files: dict[str, Any], sealed: bool = True) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from flows.pipeline.sweep_records import SweepRecord
 from flows.report.costs import cost_table, software_table
-from flows.report.other_tables import judges_of, ranking_of, selection_of
+from flows.report.other_tables import guesses_of, judges_of, ranking_of, selection_of
 from flows.report.stored_nodes import StoredNode
 
 
@@ -71,6 +71,14 @@ def test_a_ranking_of_the_same_logs_is_found_and_of_others_is_not(tmp_path: Path
     assert ranking_of(tmp_path, {"a": "k3"}) is None
 
 
+def test_the_first_guess_of_a_ranking_is_that_of_the_same_log(tmp_path: Path) -> None:
+    columns = {"dataset": ["a", "b"], "proximity_from": [0.0, 0.0], "proximity_to": [0.05, 0.3]}
+    write(tmp_path / "reports" / "ranking", "ranking.csv", **columns)
+    SweepRecord("ranking", "rank", {"k1": "data/a", "k2": "data/b"}).save(tmp_path)
+    assert guesses_of(tmp_path, {"a": "k1", "b": "other"}) == {"a": (0.0, 0.05)}
+    assert guesses_of(tmp_path, {"a": "other"}) == {}
+
+
 @pytest.mark.parametrize("sweeps", [["s"], ["s", "t"]])
 def test_what_judges_chose_is_read_where_it_was_written(tmp_path: Path, sweeps: list[str]) -> None:
     assert selection_of(tmp_path, sweeps) is None
@@ -84,7 +92,7 @@ def test_what_judges_chose_is_read_where_it_was_written(tmp_path: Path, sweeps: 
     found, judges = selection_of(tmp_path, sweeps), judges_of(tmp_path, sweeps)
     assert found is not None
     assert judges is not None
-    assert found["gain that the judge expects"].tolist() == [9.0, 8.0, 7.0, 1.0]
+    assert found["score"].tolist() == [9.0, 8.0, 7.0, 1.0]
     assert ("sweep" in found) == (len(sweeps) > 1)
     assert "model_error" not in found
     assert judges.to_dict("records") == [

@@ -8,9 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 from matplotlib.figure import Figure
 
+from components.core.files import read_json, write_json
 from components.reporting.judged_page import JUDGED_PARTS
+from components.reporting.promises import promise
 from flows import import_log
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
@@ -23,6 +26,7 @@ from flows.report.__main__ import load_report_settings, report
 from flows.report.current import current_report
 from flows.report.gather import gather
 from flows.report.judged import gather_judged
+from flows.report.leads import expected_frames
 from tests.browser import visited
 from tests.flows.furnace import as_csv, furnace, write_schema
 from tests.flows.grid import finished
@@ -92,6 +96,11 @@ def test_a_page_shows_what_was_judged_and_that_it_was_never_tried(
     assert sorted(own.store.root.rglob("*")) == before, "nothing is written there"
     said = capsys.readouterr().out
     assert "Judged from the log alone, never tried." in said
+    [log] = gather_judged(own.store, ["own"]).logs
+    for sentence in promise(log).first:
+        assert sentence in said
+        assert sentence in (tmp_path / "report.md").read_text(encoding="utf-8")
+        assert escape(sentence) in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "figures=true: judged policies have no figures but those of the page." in said
     assert {p.name for p in tmp_path.iterdir()} == {"report.html", "report.md", "policies.parquet"}
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
@@ -122,11 +131,68 @@ def test_its_numbers_are_those_of_the_sweeps_own_tables(own: Own, tmp_path: Path
 
 
 @pytest.mark.slow(1)
+def test_where_policies_lead_is_shown_beside_the_log(own: Own, tmp_path: Path) -> None:
+    frames = expected_frames(list(own.plan), own.store)
+    assert len(frames) == 2 * (1 + 11) * 2  # seeds, policies and λ, columns
+    assert (frames["low"] <= frames["high"]).all()
+    assert set(frames["feature"]) == {"temperature", EVIL}
+    [split] = [node for node in own.plan if node.name == "data/furnace/judge"]
+    logged = np.load(own.store.path(split.key) / "dataset" / "frames.npy")
+    for column, name in enumerate(("temperature", EVIL)):
+        row = frames[frames["feature"] == name].iloc[0]
+        assert (row["least"], row["greatest"]) == pytest.approx(
+            (logged[:, column].min(), logged[:, column].max())
+        )
+    [log] = gather_judged(own.store, ["own"]).logs
+    assert all(len(choice.leads) == 2 for choice in log.choices)
+    lion = next(c for c in log.choices if c.proximity == 1.0)
+    at = (frames["proximity"] == 1.0) & (frames["feature"] == "temperature")
+    assert lion.leads[0].high == frames[at]["high"].max()
+    current_report(tmp_path / "report", own.plan, own.store)
+    written = pd.read_csv(tmp_path / "report" / "frames.csv")
+    pd.testing.assert_frame_equal(written, frames, check_dtype=False)  # a log is in float32
+
+
+@pytest.mark.slow(1)
+def test_judgements_of_before_lack_where_policies_lead(own: Own, tmp_path: Path) -> None:
+    store = ArtifactStore(partial_store(own, tmp_path, "judge/"))
+    for node in own.plan:
+        if node.component == "judgement":
+            shutil.copytree(own.store.path(node.key), store.path(node.key))
+            file = store.path(node.key) / "judgement.npz"
+            with np.load(file) as stored:
+                old = {n: stored[n] for n in stored.files if not n.endswith("frames")}
+            np.savez(file, **old)
+            record = store.path(node.key) / "node.json"
+            content = read_json(record)
+            write_json(record, {k: v for k, v in content.items() if k not in ("files", "digest")})
+    [log] = gather_judged(store, ["own"]).logs
+    assert len(log.choices) == 12
+    assert not any(choice.leads for choice in log.choices)
+
+
+@pytest.mark.slow(1)
 def test_what_is_not_finished_is_said(own: Own, tmp_path: Path) -> None:
     store = partial_store(own, tmp_path, "judge/lion/furnace/seed1")
     [log] = gather_judged(ArtifactStore(store, create=False), ["own"]).logs
     assert log.progress == ["Not finished: lion: 1 of 2 seeds judged, 2 trained."]
     assert {choice.algorithm: choice.policies for choice in log.choices} == {"bc": 2, "lion": 1}
+
+
+@pytest.mark.slow(1)
+@pytest.mark.parametrize(
+    ("gone", "finished"),
+    [("judge/", "0 of 4 so far"), ("judge/lion/furnace/seed1", "3 of 4 so far")],
+)
+def test_a_sweep_that_was_stopped_says_how_much_is_judged(
+    own: Own, tmp_path: Path, gone: str, finished: str
+) -> None:
+    store = ArtifactStore(partial_store(own, tmp_path, gone))
+    [note] = [n for n in current_report(tmp_path / "report", own.plan, store).below if "Note" in n]
+    assert note == (
+        "Note: furnace has no system to evaluate on: its policies are judged from its log alone, "
+        f"{finished}; the same command again continues."
+    )
 
 
 @pytest.mark.slow(1)

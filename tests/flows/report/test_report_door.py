@@ -42,7 +42,7 @@ def test_all_formats_are_made_of_the_store_alone(
     for kind in ("html", "markdown", "latex"):
         assert door(*words, f"format={kind}") == 0
     assert sorted(smoke.store.rglob("*")) == before, "nothing is written there"
-    assert "15 of 15 cells are finished." in capsys.readouterr().out
+    assert "15 of 15 cells of the table are finished." in capsys.readouterr().out
     names = {path.name for path in out.iterdir()}
     assert names == {"report.html", "report.md", "report.tex", "policies.parquet"}
     page = (out / "report.html").read_text(encoding="utf-8")
