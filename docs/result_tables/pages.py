@@ -24,6 +24,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "every_budget": every_cell.budgets,
     "ddpg": every_cell.ddpg,
     "world": settings.world,
+    "bad_alone": settings.bad_alone,
     "pace": settings.pace,
     "limits": settings.limits,
     "judges": judging.judges,

@@ -49,6 +49,24 @@ def chosen_blind() -> str:
     return table_of(["dataset", "clone", *columns], rows)
 
 
+def bad_alone() -> str:
+    """One row per setting of LION on bad-0.0 that was changed alone."""
+    table = pd.read_csv(DATA / "bad-0.0-2026-11.csv", keep_default_na=False)
+    rows = (
+        [
+            f"`{row['setting']}`" if row["setting"] else "none",
+            f"{row['seeds']}",
+            f"{row['held_out_error']:.5f}",
+            f"{row['best_tenth_percentile']:.1f} at {row['best_proximity']:g}",
+            f"{row['best_mean']:.1f}",
+            f"{row['tenth_percentile_at_1']:.1f}",
+        ]
+        for row in table.to_dict("records")
+    )
+    heads = ["seeds", "held-out error", "10th percentile, best λ", "mean there", "at λ = 1"]
+    return table_of(["changed", *heads], rows)
+
+
 def pace() -> str:
     """One row per dataset and velocity limit of WSBC: real and expected returns on the way."""
     table = _velocities()
