@@ -34,8 +34,8 @@ def test_a_column_at_which_the_ensemble_is_held_is_named() -> None:
     [said] = strays("lion", [level])
     assert said == (
         "Under lion the ensemble stops at the edge of the judges' part of the log: level at 69, "
-        "the greatest that it knows, in 85% of the steps. It cannot tell what lies beyond, and the plant may go "
-        "on there."
+        "the greatest that it knows, in 85% of the steps. It cannot tell what lies beyond, and "
+        "the plant may go on there."
     )
     assert level.expected == "50 to 69, 85% at the greatest"
     assert strays("lion", [replace(level, held_high_usual=0.8)]) == [], "a sensor that saturates"
