@@ -10,7 +10,8 @@
   there is one: what training believes. It is no judge, since the policy was chosen by it.
 
 Beside what policies are worth stands where they lead, ``frames``: between which values nearly all
-frames of the trajectories in the ensemble lie.
+frames of the trajectories in the ensemble lie, and ``held``: the share of them that is held at the
+least or greatest value that the ensemble was fitted to. Its predictions end there.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,6 +39,7 @@ __all__ = ["Judgement", "judge"]
 
 _LOGGED = 1000
 """States of the log in which the distance to the behaviour policy is measured."""
+_OF_FRAMES = ("frames", "held")
 _BLOCK = 4096  # states of the log in which policies act together
 
 
@@ -45,7 +47,7 @@ _BLOCK = 4096  # states of the log in which policies act together
 class Judgement:
     """Estimates of Q policies, ``[Q]`` each; NaN where there is no ensemble to make them.
 
-    The ``frames`` are ``[Q, 2, F]``: low and high ends, in the units of the log.
+    The ``frames`` and ``held`` are ``[Q, 2, F]``: of the low and the high end.
     """
 
     model: NDArray[np.float64]
@@ -57,11 +59,12 @@ class Judgement:
     outside: NDArray[np.float64]
     promised: NDArray[np.float64]
     frames: NDArray[np.float64]
+    held: NDArray[np.float64]
 
     @classmethod
     def names(cls) -> list[str]:
-        """Of the estimates, without the frames."""
-        return [f.name for f in fields(cls) if f.name != "frames"]
+        """Of the estimates, without what is told of the frames."""
+        return [f.name for f in fields(cls) if f.name not in _OF_FRAMES]
 
     @property
     def estimates(self) -> dict[str, NDArray[np.float64]]:
@@ -136,6 +139,16 @@ def judge(
             ]
         )
 
+    def of_frames(name: str) -> NDArray[np.float64]:
+        return _joined(
+            [
+                torch.full((one.count, 2, dataset.frames.shape[1]), torch.nan)
+                if found is None
+                else getattr(found, name)
+                for found, one in zip(values, judged, strict=True)
+            ]
+        )
+
     fitted = _fitted(dataset, world, judged, config, device, names, checkpoint, progress)
     whole = Judgement(
         model=of_model("mean"),
@@ -146,14 +159,8 @@ def judge(
         distance=_joined(distances),
         outside=np.concatenate([support.outside(pairs.numpy()) for pairs in visited]),
         promised=_joined(promised),
-        frames=_joined(
-            [
-                torch.full((one.count, 2, dataset.frames.shape[1]), torch.nan)
-                if found is None
-                else found.frames
-                for found, one in zip(values, judged, strict=True)
-            ]
-        ),
+        frames=of_frames("frames"),
+        held=of_frames("held"),
     )
     ends = np.cumsum([one.count for one in judged])
     return [

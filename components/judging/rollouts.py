@@ -28,6 +28,7 @@ __all__ = ["NEARLY", "VirtualValues", "VirtualWorld"]
 
 NEARLY: Final = (0.01, 0.99)
 """Quantiles between which nearly all frames of virtual trajectories lie."""
+_ROUNDING: Final = 1e-5  # of a range, by which what is held at its end may miss it
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class VirtualValues:
     Attributes:
         returns: ``[Q, K, B]`` discounted returns from B start states.
         visited: ``[Q, V, F + A]`` some frames on the way, each with the action taken there.
-        width: F.
+        ends: ``[2, F]`` between which the ensemble's predictions are held.
     """
 
     returns: Tensor
     visited: Tensor
-    width: int
+    ends: Tensor
 
     @property
     def mean(self) -> Tensor:
@@ -64,9 +65,25 @@ class VirtualValues:
     @property
     def frames(self) -> Tensor:
         """Between which values nearly all frames on the way lie, ``[Q, 2, F]``: :data:`NEARLY`."""
-        frames = self.visited[..., : self.width].double()
-        ends = torch.tensor(NEARLY, dtype=frames.dtype)
-        return torch.quantile(frames, ends, dim=1).transpose(0, 1)
+        ends = torch.tensor(NEARLY, dtype=torch.float64)
+        return torch.quantile(self._seen.double(), ends, dim=1).transpose(0, 1)
+
+    @property
+    def held(self) -> Tensor:
+        """Share of the frames on the way that are held at either end, ``[Q, 2, F]``.
+
+        There the ensemble would go on and may not: what it expects is not what a system would do.
+        """
+        low, high = self.ends
+        width = high - low
+        rounding = torch.where(width.isfinite(), _ROUNDING * width, 0.0)
+        at = [self._seen <= low + rounding, self._seen >= high - rounding]
+        return torch.stack([held.double().mean(dim=1) for held in at], dim=1)
+
+    @property
+    def _seen(self) -> Tensor:
+        """The frames on the way, ``[Q, V, F]``."""
+        return self.visited[..., : self.ends.shape[1]]
 
 
 class VirtualWorld:
@@ -145,7 +162,8 @@ class VirtualWorld:
                 visited.append(by_policy[:, chosen])
         total = discounted_sum(rewards, card.discount)
         returns = total.view(members, count, starts).transpose(0, 1)
-        return VirtualValues(returns.cpu(), torch.cat(visited, dim=1).cpu(), histories[1])
+        ends = environment.frame_range[:, 0]
+        return VirtualValues(returns.cpu(), torch.cat(visited, dim=1).cpu(), ends.cpu())
 
     def _looked_at(self, members: int) -> dict[int, Tensor]:
         """Trajectories among K * B by step: V places spread over all steps and trajectories."""

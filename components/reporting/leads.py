@@ -1,4 +1,8 @@
-"""Where judged policies lead: the values of a plant that the ensemble expects, beside the log's."""
+"""Where judged policies lead: the values of a plant that the ensemble expects, beside the log's.
+
+Predictions of an ensemble are held between the least and the greatest values that it was fitted to.
+A policy that would leave the log therefore shows by how often it is held at an end of it.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,6 +14,7 @@ import pandas as pd
 __all__ = ["Lead", "lead_table", "leads_of", "strays"]
 
 _MARGIN: Final = 0.1  # of the log's own range, by which it may be left without a word
+_HELD: Final = 0.1  # of the steps more than under the behaviour, from which it is worth a word
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,10 @@ class Lead:
         high: Above it lies 1 %.
         least: Of the judges' part of the log.
         greatest: Likewise.
+        held_low: Share of the steps in which the ensemble is held at its least value.
+        held_high: At its greatest.
+        held_low_usual: The same under the behaviour policy.
+        held_high_usual: Likewise.
     """
 
     feature: str
@@ -29,6 +38,10 @@ class Lead:
     high: float
     least: float
     greatest: float
+    held_low: float = 0.0
+    held_high: float = 0.0
+    held_low_usual: float = 0.0
+    held_high_usual: float = 0.0
 
     @property
     def stray(self) -> str:
@@ -43,6 +56,26 @@ class Lead:
             ends.append(f"up to {self.high:.4g} (at most {self.greatest:.4g} there)")
         return f"{self.feature} {' and '.join(ends)}" if ends else ""
 
+    @property
+    def held(self) -> str:
+        """At which end of the log it is held more than usual, in words; empty where at none."""
+        ends = [
+            f"{self.feature} at {value:.4g}, the {end} that it knows, in {share:.0%} of the steps"
+            for end, value, share, usual in (
+                ("least", self.low, self.held_low, self.held_low_usual),
+                ("greatest", self.high, self.held_high, self.held_high_usual),
+            )
+            if share > usual + _HELD
+        ]
+        return " and ".join(ends)
+
+    @property
+    def expected(self) -> str:
+        """Its range in words."""
+        shares = {"least": self.held_low, "greatest": self.held_high}
+        held = "".join(f", {s:.0%} at the {end}" for end, s in shares.items() if s > _HELD)
+        return f"{self.low:.4g} to {self.high:.4g}{held}"
+
 
 def leads_of(frames: pd.DataFrame) -> dict[tuple[str, float | None], list[Lead]]:
     """Where policies lead, by algorithm and λ: the widest ends of all seeds and snapshots.
@@ -56,6 +89,7 @@ def leads_of(frames: pd.DataFrame) -> dict[tuple[str, float | None], list[Lead]]
         return found
     keys = ["algorithm", "proximity", "feature"]
     widest = {"low": "min", "high": "max", "least": "min", "greatest": "max"}
+    widest |= {f"held_{end}{usual}": "max" for usual in ("", "_usual") for end in ("low", "high")}
     ends = frames.groupby(keys, dropna=False, sort=False).agg(widest).reset_index()
     for row in ends.to_dict("records"):
         at = None if math.isnan(row["proximity"]) else float(row["proximity"])
@@ -65,11 +99,18 @@ def leads_of(frames: pd.DataFrame) -> dict[tuple[str, float | None], list[Lead]]
 
 
 def strays(name: str, leads: Sequence[Lead]) -> list[str]:
-    """A sentence if a policy is expected to leave the range of the log by more than a tenth."""
-    said = [lead.stray for lead in leads if lead.stray]
-    if not said:
-        return []
-    return [f"Beyond the judges' part of the log, {name} is expected to lead {'; '.join(said)}."]
+    """Sentences if a policy is expected to leave the range of the log, or would if it could."""
+    said = []
+    if beyond := [lead.stray for lead in leads if lead.stray]:
+        said.append(
+            f"Beyond the judges' part of the log, {name} is expected to lead {'; '.join(beyond)}."
+        )
+    if held := [lead.held for lead in leads if lead.held]:
+        said.append(
+            f"Under {name} the ensemble stops at the edge of the judges' part of the log: "
+            f"{'; '.join(held)}. It cannot tell what lies beyond, and the plant may go on there."
+        )
+    return said
 
 
 def lead_table(leads: Mapping[str, Sequence[Lead]]) -> pd.DataFrame:
@@ -83,5 +124,5 @@ def lead_table(leads: Mapping[str, Sequence[Lead]]) -> pd.DataFrame:
         for lead in own:
             logged = f"{lead.least:.4g} to {lead.greatest:.4g}"
             row = rows.setdefault(lead.feature, {"column": lead.feature, "log": logged})
-            row[name] = f"{lead.low:.4g} to {lead.high:.4g}"
+            row[name] = lead.expected
     return pd.DataFrame(list(rows.values()))

@@ -27,7 +27,9 @@ def expected_frames(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
         A row per policy and column of the state, in the units of the log: ``dataset``,
         ``algorithm`` (of the variant), ``seed``, ``step``, ``proximity`` (NaN where it is not
         taken), ``feature``, ``low`` and ``high`` (1st and 99th percentile), ``least`` and
-        ``greatest`` of the judges' part of the log. Judgements of older versions have none.
+        ``greatest`` of the judges' part of the log, ``held_low`` and ``held_high`` (share of the
+        steps that the ensemble is held at its least or greatest value), and ``..._usual``, these
+        shares under the behaviour policy. Judgements of older versions have none.
 
     Raises:
         DamagedFileError: A judgement or the card of its log is missing or damaged.
@@ -39,9 +41,10 @@ def expected_frames(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
         log = node.inputs["dataset"].key
         store.check(node.key, (JUDGEMENT,))
         with np.load(store.path(node.key) / JUDGEMENT, allow_pickle=False) as stored:
-            if "frames" not in stored or np.isnan(stored["frames"]).all():
+            if "held" not in stored or np.isnan(stored["frames"]).all():
                 continue
             ends, logged = stored["frames"], stored["logged_frames"]
+            held, usually = stored["held"], stored["held_usually"]
             steps, proximities = stored["steps"], stored["proximities"]
         store.check(log, (_CARD,))
         features = DatasetCard.load(store.path(log) / _CARD).frame_features
@@ -59,6 +62,10 @@ def expected_frames(done: Sequence[Node], store: ArtifactStore) -> pd.DataFrame:
                     "high": ends[:, :, 1].ravel(),
                     "least": logged[0][at[2]],
                     "greatest": logged[1][at[2]],
+                    "held_low": held[:, :, 0].ravel(),
+                    "held_high": held[:, :, 1].ravel(),
+                    "held_low_usual": usually[0][at[2]],
+                    "held_high_usual": usually[1][at[2]],
                 }
             )
         )

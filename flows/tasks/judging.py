@@ -27,9 +27,12 @@ __all__ = ["JUDGEMENT", "judge_policies"]
 
 JUDGEMENT = "judgement.npz"
 """File of an artifact: every estimate `[snapshots, proximities]`, that of the behaviour policy in
-`behaviour/...`, `steps` and `proximities`; the ends of the `frames` in the ensemble `[snapshots,
-proximities, 2, F]`, and those of the log's part `logged_frames` `[2, F]`. Judgements of before lack
-both."""
+`behaviour/...`, `steps` and `proximities`.
+
+Judgements of before lack the ends of the `frames` in the ensemble and the share `held` at its ends,
+`[snapshots, proximities, 2, F]`, the behaviour policy's `held_usually` and the ends of the log's
+part, `logged_frames`, `[2, F]`.
+"""
 
 
 def judge_policies(jobs: Sequence[Job], context: TaskContext) -> None:
@@ -87,6 +90,8 @@ def _write(
             proximities=np.asarray(judged.proximities),
             **estimates,
             frames=judgement.frames.reshape(*shape, *judgement.frames.shape[1:]),
+            held=judgement.held.reshape(*shape, *judgement.held.shape[1:]),
+            held_usually=usual.held[0],
             logged_frames=np.stack([dataset.frames.min(axis=0), dataset.frames.max(axis=0)]),
             **{f"behaviour/{name}": values for name, values in usual.estimates.items()},
         )

@@ -106,6 +106,19 @@ class ModelEnvironment:
             self._low, self._high = (torch.full_like(self._low, s * torch.inf) for s in (-1, 1))
         self._target_scale = _wide(model.target_scale)
 
+    @property
+    def frame_range(self) -> Tensor:
+        """Ends between which predictions are held, ``[2, L, F]``, in the units of the log.
+
+        They are infinite for features that follow the actions or never move.
+        """
+        ends = []
+        for bound, sign in ((self._low, -1), (self._high, 1)):
+            own = (bound * self._learned_scale + self._learned_mean)[:, :, 0, 0]
+            known = torch.full_like(self._known_mean[:, :, 0, 0], sign * torch.inf)
+            ends.append(torch.cat([known, own], dim=1)[:, self._observed])
+        return torch.stack(ends)
+
     def unroll(
         self,
         observations: Tensor,

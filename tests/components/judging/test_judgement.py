@@ -149,12 +149,27 @@ def test_where_policies_lead_lies_between_the_frames_on_the_way() -> None:
     assert not torch.equal(low[0], low[1]), "λ leads elsewhere"
 
 
+def test_the_share_that_is_held_at_the_ensembles_ends_is_told() -> None:
+    ensemble = random_ensemble(LOG, "e")
+    narrow = replace(ensemble, low=ensemble.low * 0, high=ensemble.high * 0)
+    judged = JudgedPolicies.of(steered_policy(1), (0.0,))
+    wide, still = (VirtualWorld(LOG, CONFIG, CPU).values(one, judged) for one in (ensemble, narrow))
+    learned = still.ends.isfinite()
+    assert learned.any()
+    assert not learned.all(), "what follows the actions is not held"
+    # All but the frames in which trajectories start.
+    assert (still.held[0][learned] >= 0.9).all()
+    assert (still.held[0][~learned] == 0.0).all()
+    assert (wide.held[0] < 0.9).all()
+
+
 def test_without_an_ensemble_critics_and_the_support_remain() -> None:
     behaviour = random_policy(LOG, ("behaviour",))
     far = JudgedPolicies.of(constant_policy([0.99, -0.99, 0.99]), ())
     [found] = judge(LOG, None, behaviour, [far], [None], CONFIG, CPU, names="a")
     assert np.isnan(found.model).all()
     assert np.isnan(found.frames).all()
+    assert np.isnan(found.held).all()
     assert np.isfinite(found.fitted_q).all()
     # Half of the log's actions are random, so most of these lie within; of its own, 1 % do not.
     assert found.outside > 0.05

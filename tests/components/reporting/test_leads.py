@@ -10,6 +10,8 @@ from components.reporting.leads import Lead, lead_table, leads_of, strays
 from components.reporting.promises import promise
 from tests.components.reporting.judged import NAN, log
 
+SHARES = {f"held_{end}{usual}": 0.0 for end in ("low", "high") for usual in ("", "_usual")}
+
 
 def test_a_column_that_leaves_the_log_by_more_than_a_tenth_is_named() -> None:
     leads = [
@@ -26,13 +28,28 @@ def test_a_column_that_leaves_the_log_by_more_than_a_tenth_is_named() -> None:
     assert "level to where it is not finite" in strays("lion", [replace(leads[0], high=NAN)])[0]
 
 
+def test_a_column_at_which_the_ensemble_is_held_is_named() -> None:
+    """As the level of a tank, that went to 140 while the log had at most 69."""
+    level = Lead("level", 50.0, 69.0, 41.0, 69.0, held_high=0.85, held_high_usual=0.02)
+    [said] = strays("lion", [level])
+    assert said == (
+        "Under lion the ensemble stops at the edge of the judges' part of the log: level at 69, "
+        "the greatest that it knows, in 85% of the steps. It cannot tell what lies beyond, and "
+        "the plant may go on there."
+    )
+    assert level.expected == "50 to 69, 85% at the greatest"
+    assert strays("lion", [replace(level, held_high_usual=0.8)]) == [], "a sensor that saturates"
+    low = replace(level, low=41.0, held_high=0.0, held_low=0.4)
+    assert "level at 41, the least that it knows, in 40% of the steps" in strays("lion", [low])[0]
+
+
 def test_seeds_stand_together_by_their_widest_ends() -> None:
     rows = [
         {"algorithm": name, "proximity": at, "feature": feature, "low": low, "high": high}
         for name, at, low, high in (("lion", 0.1, 1, 5), ("lion", 0.1, 2, 9), ("bc", NAN, 3, 4))
         for feature in ("level", "flow")
     ]
-    leads = leads_of(pd.DataFrame(rows).assign(least=2.0, greatest=6.0))
+    leads = leads_of(pd.DataFrame(rows).assign(least=2.0, greatest=6.0, **SHARES))
     assert leads["lion", 0.1] == [Lead(name, 1.0, 9.0, 2.0, 6.0) for name in ("level", "flow")]
     assert leads["bc", None][0] == Lead("level", 3.0, 4.0, 2.0, 6.0)
     table = lead_table({"lion at λ 0.10": leads["lion", 0.1], "bc": leads["bc", None]})

@@ -135,6 +135,7 @@ def test_where_policies_lead_is_shown_beside_the_log(own: Own, tmp_path: Path) -
     frames = expected_frames(list(own.plan), own.store)
     assert len(frames) == 2 * (1 + 11) * 2  # seeds, policies and λ, columns
     assert (frames["low"] <= frames["high"]).all()
+    assert frames.filter(like="held_").stack().between(0.0, 1.0).all()
     assert set(frames["feature"]) == {"temperature", EVIL}
     [split] = [node for node in own.plan if node.name == "data/furnace/judge"]
     logged = np.load(own.store.path(split.key) / "dataset" / "frames.npy")
@@ -161,7 +162,7 @@ def test_judgements_of_before_lack_where_policies_lead(own: Own, tmp_path: Path)
             shutil.copytree(own.store.path(node.key), store.path(node.key))
             file = store.path(node.key) / "judgement.npz"
             with np.load(file) as stored:
-                old = {n: stored[n] for n in stored.files if not n.endswith("frames")}
+                old = {n: stored[n] for n in stored.files if "frames" not in n and "held" not in n}
             np.savez(file, **old)
             record = store.path(node.key) / "node.json"
             content = read_json(record)
