@@ -302,6 +302,44 @@ def test_what_looks_wrong_is_a_warning_in_the_report_and_on_the_screen(
     assert abs(row - half) <= 25  # a part of this log has so many rows
 
 
+def test_sensors_that_fail_are_warned_of_and_the_log_is_kept(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = furnace(20, 50)
+    cells["pressure"] = [f"{x:.3f}" for x in np.random.default_rng(1).normal(1.1, 0.01, 1000)]
+    cells["fahrenheit"] = [f"{float(v) * 1.8 + 32:.2f}" for v in cells["temperature"]]
+    cells["pressure"][200:400] = ["1.103"] * 200
+    for row in (120, 340, 600):
+        put("oxygen", row, "-9999")(cells)
+    imported(cells, features=["temperature", "oxygen", "pressure", "fahrenheit"])
+    said = capsys.readouterr().out
+    for sentence in (
+        r"log\.csv, row 202: feature 'pressure'.* stands still at 1\.103 for 200 rows from here",
+        r"log\.csv, row 120: feature 'oxygen' is -9999 in 3 rows, first here, .*na_values: \[-9999",
+        r"Feature 'fahrenheit' is a copy of feature 'temperature' .* 1\.8 \* temperature \+ 32;",
+    ):
+        assert re.search(f"Warning: {sentence}", said), said
+
+
+def test_a_file_in_another_unit_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = furnace(20, 50)
+    half = 500
+    Path("a.csv").write_text(as_csv({n: v[:half] for n, v in cells.items()}), encoding="utf-8")
+    later = {n: v[half:] for n, v in cells.items()}
+    later["gas"] = [f"{float(v) / 60:.4f}" for v in later["gas"]]  # per second
+    Path("b.csv").write_text(as_csv(later), encoding="utf-8")
+    write_schema(project)
+    import_log(load_import_settings(["a.csv", "b.csv", "name=furnace"]))
+    said = re.search(
+        r"Warning: b\.csv, row 2, where this file begins: action 'gas' seems to be in another unit "
+        r"than in a\.csv: its median goes from (\S+) to (\S+) and stays",
+        capsys.readouterr().out,
+    )
+    assert said
+    assert 40 < float(said[1]) < 60  # in the log's units
+    assert 40 < 60 * float(said[2]) < 60
+
+
 def test_a_log_as_it_should_be_has_no_warnings(project: Path) -> None:
     imported(furnace(20, 50))
     assert "## What looks wrong\n\nNothing." in Path("logs/furnace/report.md").read_text("utf-8")

@@ -4,47 +4,24 @@ Columns that never change and columns that are copies of others are refused. Eve
 sentence of warning: the log can be used, and its owner knows better what it means.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from components.data.imports.columns import Column
+from components.data.imports.faults import fault_warnings
+from components.data.imports.jumps import jump_warning
 from components.data.imports.schema import LogError
 
-__all__ = ["Column", "find_jump", "refuse_empty_columns", "reward_explained", "warnings_about"]
+__all__ = ["refuse_empty_columns", "reward_explained", "warnings_about"]
 
-_BLOCKS: Final = 48
-"""Equal parts of a log whose medians and spreads are compared."""
-_LEAST_IN_BLOCK: Final = 20
 _PROBE: Final = 1000  # rows compared first
-_SAMPLED: Final = 2000  # rows looked at of a block
-_JUMP: Final = 4.0
-"""A jump moves the medians by so many of their own deviations on either side."""
-_SCALED: Final = 4.0  # a change of units multiplies the spread by at least so much
 _FITTED: Final = 20_000  # transitions that the reward is fitted to
 _EXPLAINED: Final = 0.2
 """Share of the reward's variance below which the features are said to leave it unexplained."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a log.
-
-    Attributes:
-        name: Of the column.
-        role: `feature`, `action` or `reward`.
-        values: `[R]` float32.
-        place: File and row of a value.
-    """
-
-    name: str
-    role: str
-    values: NDArray[Any]
-    place: Callable[[int], str]
 
 
 def refuse_empty_columns(
@@ -81,64 +58,6 @@ def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
     """Whether two columns are one, but for single precision, which has rounded both."""
     near = 1e-6 * max(abs(float(one.max())), abs(float(one.min())))
     return bool(np.abs(one - other).max() <= near)
-
-
-def find_jump(values: NDArray[np.float32]) -> tuple[int, str] | None:
-    """Where a column seems to have changed its unit, once and for good.
-
-    The medians of equal parts of the column lie in two groups, before and after one part, that are
-    further apart than `_JUMP` of their deviations within the groups; or so do the spreads.
-
-    Args:
-        values: `[R]` in the order of the log.
-
-    Returns:
-        The first row of the later group and what changed; None where nothing did.
-    """
-    size = len(values) // _BLOCKS
-    blocks = _BLOCKS if size >= _LEAST_IN_BLOCK else len(values) // _LEAST_IN_BLOCK
-    if blocks < 6:
-        return None
-    edges = np.linspace(0, len(values), blocks + 1).astype(int)
-    parts = []
-    for begin, end in pairwise(edges):
-        step = max(1, (end - begin) // _SAMPLED)
-        parts.append(np.percentile(values[begin:end:step].astype(np.float64), (25, 50, 75)))
-    low, middle, high = np.stack(parts, axis=1)
-    spread = high - low
-    typical = float(np.median(spread))
-    found = _change(middle, floor=typical / 2)
-    if found is not None:
-        k, before, after = found
-        return int(edges[k]), f"its median goes from {before:g} to {after:g} and stays there"
-    if (spread > 0).all():
-        found = _change(np.log(spread), floor=math.log(_SCALED) / _JUMP)
-        if found is not None:
-            k, before, after = found
-            factor = math.exp(after - before)
-            return int(edges[k]), f"its spread changes by a factor of {factor:.3g} and stays so"
-    return None
-
-
-def _change(values: NDArray[np.float64], floor: float) -> tuple[int, float, float] | None:
-    """The block where values step from one level to another; with the levels."""
-    best: tuple[float, int, float, float] | None = None
-    for k in range(3, len(values) - 2):
-        left, right = values[:k], values[k:]
-        if not (left.max() < right.min() or right.max() < left.min()):
-            continue
-        before, after = float(np.median(left)), float(np.median(right))
-        # A change of units takes one row, while drifts and random walks take many blocks.
-        if abs(values[k + 1] - values[k - 1]) < abs(after - before) / 2:
-            continue
-        within = 1.4826 * max(
-            float(np.median(np.abs(left - before))), float(np.median(np.abs(right - after)))
-        )
-        scale = max(within, floor, 1e-9 * max(abs(before), abs(after), 1e-30))
-        score = abs(after - before) / scale
-        if score > _JUMP and (best is None or score > best[0]):
-            best = (score, k, before, after)
-    return None if best is None else best[1:]
 
 
 def reward_explained(arrays: Mapping[str, NDArray[Any]]) -> float | None:
@@ -184,14 +103,9 @@ def warnings_about(
     """
     said = []
     for column in columns:
-        jump = find_jump(column.values)
-        if jump is not None:
-            row, what = jump
-            said.append(
-                f"{column.place(row)}: about here {column.role} {column.name!r} seems to change "
-                f"its unit or its sensor: {what}."
-            )
+        said += jump_warning(column)
         said += _odd_action(column) if column.role == "action" else _coarse(column)
+    said += fault_warnings(columns, arrays)
     lengths = np.diff(arrays["episode_starts"])
     short = int((lengths < history).sum())
     if short:

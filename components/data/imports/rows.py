@@ -38,6 +38,7 @@ class Rows:
         starts: `[R]` bool, an episode begins by the log's own words.
         intervals: `[R]` float32, time since the row before; NaN in the first row and without time.
         place: File and row of a row, for messages.
+        source: File of a row, for messages.
         clipped: Number of actions that rounding had put outside of their bounds.
     """
 
@@ -48,6 +49,7 @@ class Rows:
     starts: NDArray[np.bool_]
     intervals: NDArray[np.float32]
     place: Callable[[int], str]
+    source: Callable[[int], str]
     clipped: int
 
 
@@ -124,7 +126,8 @@ class Collector:
         if not self._count:
             raise LogError("the log has no rows; give files with rows below their headers.")
         arrays: dict[str, Any] = {name: array.whole() for name, array in self._arrays.items()}
-        return Rows(**arrays, place=_places(tuple(self._places)), clipped=self._clipped)
+        where = _Places(tuple(self._places))
+        return Rows(**arrays, place=where.place, source=where.source, clipped=self._clipped)
 
     def _actions(self, batch: Batch) -> NDArray[np.float32]:
         scaled = np.empty((batch.rows, len(self.schema.actions)), np.float32)
@@ -241,12 +244,24 @@ def _refuse_huge(batch: Batch, name: str) -> None:
         )
 
 
-def _places(batches: Sequence[tuple[int, str, int]]) -> Callable[[int], str]:
-    """What tells file and row of a row of the whole log."""
-    firsts = [begin for begin, _, _ in batches]
+@dataclass(frozen=True)
+class _Places:
+    """Tells file and row of a row of the whole log.
 
-    def place(row: int) -> str:
-        begin, source, first = batches[bisect_right(firsts, row) - 1]
+    Attributes:
+        batches: First row, file and row there of each batch.
+    """
+
+    batches: Sequence[tuple[int, str, int]]
+
+    def place(self, row: int) -> str:
+        """File and row."""
+        begin, source, first = self._batch(row)
         return f"{source}, row {first + row - begin}"
 
-    return place
+    def source(self, row: int) -> str:
+        """The file."""
+        return self._batch(row)[1]
+
+    def _batch(self, row: int) -> tuple[int, str, int]:
+        return self.batches[bisect_right(self.batches, row, key=lambda batch: batch[0]) - 1]
