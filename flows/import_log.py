@@ -140,17 +140,13 @@ def import_log(settings: ImportSettings) -> int:
         else:
             schema = read_schema(settings.described_by)
             text = settings.described_by.read_text(encoding="utf-8")
-            tables = open_tables(settings.files, _csv_format(schema))
+            tables = open_tables(settings.files, CsvFormat.of(schema))
             names = [table.name for table in tables]
             imported = _imported(tables, schema, settings)
         _store(imported, names, text, settings)
     except LogError as error:
         raise SettingsError(str(error)) from error
     return 0
-
-
-def _csv_format(schema: LogSchema) -> CsvFormat:
-    return CsvFormat(schema.delimiter, schema.decimal, schema.encoding)
 
 
 def _describe(settings: ImportSettings) -> int:

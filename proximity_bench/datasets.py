@@ -81,7 +81,7 @@ def dataset(
             _refuse("schema", schema, f"{source} was exported by this project")
             return _renamed(exported, name)
     columns = _schema(schema, source)
-    tables = _tables(source, CsvFormat(columns.delimiter, columns.decimal, columns.encoding))
+    tables = _tables(source, CsvFormat.of(columns))
     own = _free_name(name or "log")
     return import_tables(tables, columns, Repairs(missing, gaps, short), own).dataset
 

@@ -173,6 +173,36 @@ def test_missing_values_are_filled_in_or_their_episodes_left_out(project: Path) 
         imported(cells, "missing=forward_fill", "replace=true")
 
 
+def test_what_a_historian_writes_for_no_value_is_missing(project: Path) -> None:
+    cells = furnace()
+    digest = []
+    for code in ("", "Bad Input", "-9999.00"):
+        put("oxygen", 17, code)(cells)
+        words = ["missing=forward_fill", "replace=true"]
+        log = imported(cells, *words, na_values=["Bad Input", -9999])
+        digest.append(log.card.digest)
+    assert len({*digest}) == 1
+    report = Path("logs/furnace/report.md").read_text(encoding="utf-8")
+    assert "- Missing values repeat the row before: 1 of oxygen." in report
+    with pytest.raises(SettingsError, match="row 17: 'oxygen' is missing"):
+        imported(cells, "replace=true", na_values=[-9999])
+
+
+def test_times_in_a_format_of_their_own(project: Path) -> None:
+    cells = furnace()
+    digest = imported(cells).card.digest
+    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}.25" for t in cells["time"]]
+    form = {"time_format": "%d.%m.%Y %H:%M:%S.%f"}
+    assert imported(cells, "replace=true", **form).card.digest == digest
+    cells["time"] = [f"{time} +0200" for time in cells["time"]]
+    form = {"time_format": "%d.%m.%Y %H:%M:%S.%f %z"}
+    assert imported(cells, "replace=true", **form).card.digest == digest
+    numbers = {n: np.array(v, float) for n, v in cells.items() if n != "time"}
+    pq.write_table(pa.table({**numbers, "time": cells["time"]}), "log.parquet")
+    import_log(load_import_settings(["log.parquet", "name=furnace", "replace=true"]))
+    assert OfflineDataset.open(Path("logs/furnace")).card.digest == digest
+
+
 def test_the_unused_action_of_the_last_row_may_be_missing(project: Path) -> None:
     cells = furnace()
     for row in range(1 + ROWS, 2 + EPISODES * ROWS, ROWS):

@@ -240,7 +240,7 @@ def _refuse_huge(batch: Batch, name: str) -> None:
         row = int(wrong.argmax())
         raise LogError(
             f"{batch.place(row)}: {name!r} is {batch.numbers[name][row]:g}, too large to compute "
-            "with; leave it empty if it stands for a missing value."
+            "with; name it in na_values if it stands for no value."
         )
 
 
