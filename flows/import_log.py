@@ -166,7 +166,7 @@ def _describe(settings: ImportSettings) -> int:
     else:  # a single column
         tables = open_tables(settings.files, CsvFormat())
     write_text(path, draft_schema(tables, settings.name))
-    print(f"{path}: a first draft of the schema. Correct it, then give the command without it.")
+    print(f"{path}: a first draft of the schema. Correct it, then repeat this without --describe.")
     return 0
 
 

@@ -447,6 +447,29 @@ def test_a_draft_needs_few_corrections_and_is_never_overwritten(project: Path, k
     assert import_log(load_import_settings(words)) == 0
 
 
+def test_a_draft_of_a_german_file_names_all_that_is_odd_about_it(project: Path) -> None:
+    cells = furnace()
+    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}" for t in cells["time"]]
+    cells |= {"site": ["Basel"] * 180, "tank": ["1"] * 180, "action_gas": cells.pop("gas")}
+    put("oxygen", 17, "Bad Input")(cells)
+    text = as_csv(
+        {n: [v.replace(".", ",") if n != "time" else v for v in c] for n, c in cells.items()}, ";"
+    )
+    Path("log.csv").write_text(text, encoding="utf-8")
+    words = ["log.csv", "name=furnace"]
+    import_log(load_import_settings([*words, "--describe"]))
+    draft = Path("furnace.yaml").read_text(encoding="utf-8")
+    assert "# Not used:\n#   site: text, e.g. 'Basel'\n#   tank: always 1 in these rows\n" in draft
+    Path("furnace.yaml").write_text(draft.replace("FILL_IN", "after"), encoding="utf-8")
+    described = read_schema(Path("furnace.yaml"))
+    assert described.features == ("temperature", "oxygen", "air")
+    assert (described.delimiter, described.decimal) == (";", ",")
+    assert described.time_format == "%d.%m.%Y %H:%M:%S"
+    assert described.na_values == ("Bad Input",)
+    assert described.sampling == 10
+    assert import_log(load_import_settings([*words, "missing=forward_fill"])) == 0
+
+
 @pytest.fixture
 def minari_folder(project: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(project / "minari"))

@@ -68,8 +68,8 @@ class DataFrameTable:
         except (pa.ArrowException, TypeError, OverflowError) as error:
             raise LogError(
                 f"{self.name}: column {name!r} holds values of several kinds from row {first + 1} "
-                "on, not numbers; convert it, leave it out, or name texts that stand for no value in "
-                "na_values."
+                "on, not numbers; convert it, leave it out, or name texts that stand for no value "
+                "in na_values."
             ) from error
         if pa.types.is_null(column.type):  # only missing values
             return column.cast(pa.float64())
