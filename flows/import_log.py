@@ -1,14 +1,15 @@
 """Import a log of your own: ``python -m flows.import_log FILE... name=furnace [--describe]``."""
 
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from omegaconf import OmegaConf
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from rich.console import Console
 
 from components.core.files import temporary_name, write_text
@@ -24,6 +25,8 @@ from components.data.sources.minari_exchange import ForeignDatasetError, import_
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.files import shown
+from flows.configuration.log_schemas import checked_schema, fields_in
 from flows.configuration.plants import settings_of_log
 from flows.configuration.words import fields_of_words
 
@@ -55,11 +58,20 @@ _REPORT = "report.md"
 _SWITCHES = ("describe", "replace")
 
 
+def _plain_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+        raise SettingsError(
+            f"name={name!r} cannot be used: a name has letters, digits, . _ and - only, begins "
+            "with a letter or a digit, and has at most 100 characters."
+        )
+    return name
+
+
 class ImportSettings(StrictModel):
     """What to import, how to repair it and where to put it."""
 
     files: tuple[str, ...] = Field(min_length=1)
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)
+    name: Annotated[str, AfterValidator(_plain_name)]
     schema_file: Path | None = Field(default=None, alias="schema")
     describe: bool = False
     missing: Literal["refuse", "drop_episode", "forward_fill"] = "refuse"
@@ -114,14 +126,11 @@ def read_schema(path: Path) -> LogSchema:
         raise SettingsError(
             f"{path} is missing; add --describe to write a first draft of it, or give schema=FILE."
         )
-    content = OmegaConf.to_container(files.read_file(path), resolve=False)
+    fields = fields_in(path)
     try:
-        if isinstance(content, dict) and "actions" in content and not content["actions"]:
-            raise SettingsError("actions names none; write NAME: [LEAST, LARGEST] below it.")
-        schema: LogSchema = build_config(LogSchema, "", content)
+        return checked_schema(fields)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
-    return schema
 
 
 def import_log(settings: ImportSettings) -> int:
@@ -185,16 +194,16 @@ def _check_place(settings: ImportSettings) -> None:
         )
     if named.exists() and not _names_folder(named, settings):
         raise SettingsError(
-            f"name={settings.name}: {_shown(named)} is there already and is not about "
-            f"{_shown(folder)}; choose another name, or remove it."
+            f"name={settings.name}: {shown(named)} is there already and is not about "
+            f"{shown(folder)}; choose another name, or remove it."
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not settings.replace:
             raise SettingsError(
-                f"{_shown(folder)} is there already; give replace=true, or another name."
+                f"{shown(folder)} is there already; give replace=true, or another name."
             )
         if not (folder / "card.json").is_file():
-            raise SettingsError(f"to={_shown(folder)} holds no dataset to replace; name another.")
+            raise SettingsError(f"to={shown(folder)} holds no dataset to replace; name another.")
 
 
 def _names_folder(named: Path, settings: ImportSettings) -> bool:
@@ -203,11 +212,6 @@ def _names_folder(named: Path, settings: ImportSettings) -> bool:
     fields = content.get(settings.name)
     log = fields.get("log") if isinstance(fields, Mapping) else None
     return isinstance(log, str) and files.home() / log == settings.folder
-
-
-def _shown(path: Path) -> Path:
-    root = files.home()
-    return path.relative_to(root) if path.is_relative_to(root) else path
 
 
 def _own_export(settings: ImportSettings) -> Imported | None:
@@ -257,11 +261,17 @@ def _store(
         _put(made, folder)
     if not settings.named_in.exists():
         about = f"# imported by flows.import_log; {_REPORT} in its folder says what it holds\n"
-        own = {"log": str(_shown(folder)), **settings_of_log(dataset.card)}
+        own = {"log": str(_below_home(folder)), **settings_of_log(dataset.card)}
         content = {settings.name: own}
         settings.named_in.parent.mkdir(parents=True, exist_ok=True)
         write_text(settings.named_in, about + yaml.safe_dump(content, allow_unicode=True))
     _say(imported, settings)
+
+
+def _below_home(folder: Path) -> Path:
+    """A folder as files of conf/dataset name it."""
+    home = files.home()
+    return folder.relative_to(home) if folder.is_relative_to(home) else folder
 
 
 def _put(made: Path, folder: Path) -> None:
@@ -286,9 +296,9 @@ def _say(imported: Imported, settings: ImportSettings) -> None:
         print(f"Note: {sentence}")
     print(
         f"{settings.name}: {dataset.transitions:,} transitions in {dataset.episodes:,} episodes, "
-        f"mean return {dataset.card.first_window_return_mean:.5g}; {_shown(settings.folder)} has "
-        f"them and {_REPORT}. Next, for minutes: python -m flows.full_benchmark profile=quick "
-        f"datasets=[{settings.name}]"
+        f"mean return {dataset.card.first_window_return_mean:.5g}; {shown(settings.folder)} has "
+        f"them; read {shown(settings.folder / _REPORT)}. Next, for minutes: python -m "
+        f"flows.full_benchmark profile=quick datasets=[{settings.name}]"
     )
 
 

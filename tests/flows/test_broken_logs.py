@@ -161,7 +161,7 @@ CELLS = {
         r"log\.csv, row 2: feature 'oxygen' equals action 'gas'",
     ),
     "one row": (drop_rows(3, 181), r"log\.csv, row 2: the episode .* has a single row"),
-    "one episode": (drop_rows(32, 181), r"log\.csv, row 2: the log has 1 episodes from here on"),
+    "one episode": (drop_rows(32, 181), r"^the log has one episode; at least 2 are"),
     "no rows": (drop_rows(2, 181), r"log\.csv has no rows below row 1"),
 }
 
@@ -322,7 +322,12 @@ SCHEMAS = {
     "discount": ({"discount": 1.5}, r"discount is 1\.5"),
     "no features": ({"features": []}, "features is empty"),
     "text for a number": ({"history": "ten"}, "history='ten'"),
-    "no group": ({"actions": ["gas"]}, "actions="),
+    "misspelt and missing": (
+        {"feature": ["a"], "features": None},
+        r"Unknown key 'feature'; .*s'\?",
+    ),
+    "no group": ({"actions": ["gas"]}, r"actions is \['gas'\]; write NAME: \[LEAST, LARGEST\]"),
+    "no weights": ({"reward_weights": ["gas"]}, r"reward_weights is .*; write NAME: WEIGHT"),
     "reward as a feature": ({"features": ["reward", "oxygen"]}, "rename the column"),
 }
 
@@ -425,7 +430,10 @@ def test_wrong_command_lines(project: Path) -> None:
     assert said("a.csv") == "name= is missing; write e.g. name=furnace."
     assert_says(said("a.csv", "name=a", "mising=drop_episode"), "Did you mean 'missing'")
     assert_says(said("a.csv", "name=a", "missing=drop"), "missing='drop': Input should be 'refuse'")
-    assert_says(said("a.csv", "name=../a"), "name='../a'")
+    assert_says(
+        said("a.csv", "name=../a"), r"^name='\.\./a' cannot .* letters, digits, \. _ and - only"
+    )
+    assert_says(said("a.csv", "name=Tank A"), r"^name='Tank A' cannot be used")
     assert_says(said("a.csv", "name=a", "name=b"), "name is given twice")
 
 

@@ -101,7 +101,10 @@ def test_the_folder_holds_a_report_and_conf_names_it(
 
 
 def test_with_a_folder_of_ones_own_everything_is_there(
-    project: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    project: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     own = tmp_path_factory.mktemp("own")
     monkeypatch.setenv(files.HOME, str(own))
@@ -110,6 +113,8 @@ def test_with_a_folder_of_ones_own_everything_is_there(
     words = ["log.csv", "name=furnace", "replace=true"]
     for _ in range(2):
         assert import_log(load_import_settings(words)) == 0
+    said = capsys.readouterr().out
+    assert f"{own}/logs/furnace has them; read {own}/logs/furnace/report.md" in said  # to be pasted
     assert OfflineDataset.open(own / "logs" / "furnace").card.name == "furnace"
     named = (own / "conf" / "dataset" / "furnace.yaml").read_text(encoding="utf-8")
     assert yaml.safe_load(named)["furnace"]["log"] == "logs/furnace"

@@ -78,7 +78,13 @@ def import_tables(
     del rows
     gc.collect()
     refuse_empty_columns(columns[:-1], _at_steps(arrays, layout))
-    warnings = warnings_about(columns, arrays, schema.history, fitted=not schema.weights)
+    warnings = warnings_about(
+        columns,
+        arrays,
+        schema.history,
+        fitted=not schema.weights,
+        same_row=schema.same_row,
+    )
     if schema.known is not None:
         _check_known(arrays, schema, layout, columns[0].place)
     try:

@@ -16,12 +16,15 @@ from components.data.imports.faults import fault_warnings
 from components.data.imports.jumps import jump_warning
 from components.data.imports.schema import LogError
 
-__all__ = ["refuse_empty_columns", "reward_explained", "warnings_about"]
+__all__ = ["outcome_doubt", "refuse_empty_columns", "reward_explained", "warnings_about"]
 
 _PROBE: Final = 1000  # rows compared first
 _FITTED: Final = 20_000  # transitions that the reward is fitted to
 _EXPLAINED: Final = 0.2
 """Share of the reward's variance below which the features are said to leave it unexplained."""
+_MORE: Final = 0.02
+"""By so much of the variance another `outcome_row` must explain more, besides half of what the
+schema's leaves: both fits have as many terms, so chance alone makes no such difference."""
 
 
 def refuse_empty_columns(
@@ -60,38 +63,86 @@ def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
     return bool(np.abs(one - other).max() <= near)
 
 
-def reward_explained(arrays: Mapping[str, NDArray[Any]]) -> float | None:
+def reward_explained(
+    arrays: Mapping[str, NDArray[Any]], rewards_of: NDArray[np.int64] | None = None, shift: int = 0
+) -> float | None:
     """Share of the reward's variance that a fit by the features explains.
 
     The fit is linear in the next frame, the frame, the action, and their squares.
 
     Args:
         arrays: Of the dataset.
+        rewards_of: Steps whose rewards are fitted; by default all, or many of them.
+        shift: By how many steps later the frames and actions are that explain a reward; their
+            steps must lie in the same episode.
 
     Returns:
         At most 1, adjusted for the number of terms; None where the reward does not vary or the log
         is too short to tell.
     """
     count = len(arrays["rewards"])
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _FITTED)).astype(np.int64))
-    episode = np.searchsorted(arrays["episode_starts"], chosen, side="right") - 1
-    frames, rows = arrays["frames"], chosen + episode
-    terms = np.concatenate([frames[rows + 1], frames[rows], arrays["actions"][chosen]], axis=1)
+    chosen = _spread(np.arange(count)) if rewards_of is None else rewards_of
+    steps = chosen + shift
+    episode = np.searchsorted(arrays["episode_starts"], steps, side="right") - 1
+    frames, rows = arrays["frames"], steps + episode
+    terms = np.concatenate([frames[rows + 1], frames[rows], arrays["actions"][steps]], axis=1)
     terms = terms.astype(np.float64)
     terms = (terms - terms.mean(axis=0)) / np.maximum(terms.std(axis=0), 1e-12)
     terms = np.concatenate([terms, terms**2, np.ones((len(terms), 1))], axis=1)
     rewards = arrays["rewards"][chosen].astype(np.float64)
-    varies = rewards.var()
-    if varies == 0 or len(chosen) < 5 * terms.shape[1]:
+    if len(chosen) < 5 * terms.shape[1] or rewards.var() == 0:
         return None
     weights, *_ = np.linalg.lstsq(terms, rewards, rcond=None)
-    left = float(np.mean((rewards - terms @ weights) ** 2) / varies)
+    left = float(np.mean((rewards - terms @ weights) ** 2) / rewards.var())
     share: float = 1 - left * (len(chosen) - 1) / (len(chosen) - terms.shape[1])
     return share
 
 
+def _spread(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most so many steps as are fitted, from all over the log."""
+    chosen = np.linspace(0, len(steps) - 1, min(len(steps), _FITTED)).astype(np.int64)
+    return steps[np.unique(chosen)]
+
+
+def outcome_doubt(arrays: Mapping[str, NDArray[Any]], *, same_row: bool) -> str | None:
+    """A sentence if the reward rather belongs to the action of another row than the schema says.
+
+    The state of its own row explains a reward either way; what tells is whether the action of that
+    row and the state after it explain the rest, or the action and the state of the row before.
+
+    Args:
+        arrays: Of the dataset.
+        same_row: Whether the schema says that a reward stands in the row of its action.
+    """
+    starts = arrays["episode_starts"]
+    shift = -1 if same_row else 1
+    inner = np.ones(len(arrays["rewards"]), np.bool_)
+    inner[starts[:-1] if same_row else starts[1:] - 1] = False
+    chosen = _spread(np.flatnonzero(inner))
+    if not len(chosen):
+        return None
+    said = reward_explained(arrays, chosen)
+    other = reward_explained(arrays, chosen, shift)
+    if said is None or other is None:
+        return None
+    if other - said < _MORE or 1 - other > (1 - said) / 2:
+        return None
+    rows = ("of its own row", "of the row before it")
+    better, worse = rows if not same_row else rows[::-1]
+    return (
+        f"The action {better} explains the reward better than that {worse} ({other:.0%} of it "
+        f"against {said:.0%}, together with the states beside it): should outcome_row be "
+        f"{'after' if same_row else 'same'}?"
+    )
+
+
 def warnings_about(
-    columns: Sequence[Column], arrays: Mapping[str, NDArray[Any]], history: int, fitted: bool
+    columns: Sequence[Column],
+    arrays: Mapping[str, NDArray[Any]],
+    history: int,
+    *,
+    fitted: bool,
+    same_row: bool,
 ) -> list[str]:
     """Sentences about what looks wrong.
 
@@ -100,6 +151,7 @@ def warnings_about(
         arrays: Of the dataset.
         history: Rows that a policy sees.
         fitted: Whether the reward is a column, so that features may not explain it.
+        same_row: Whether the schema says that a reward stands in the row of its action.
     """
     said = []
     for column in columns:
@@ -124,6 +176,8 @@ def warnings_about(
                 f"No feature explains the reward: a fit by states, actions and their squares "
                 f"explains {max(share, 0.0):.0%} of it; is a column missing, or outcome_row wrong?"
             )
+        doubt = outcome_doubt(arrays, same_row=same_row)
+        said += [doubt] if doubt is not None else []
     return said
 
 
