@@ -4,6 +4,7 @@ import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ from pydantic import AfterValidator, Field
 from rich.console import Console
 
 from components.core.files import temporary_name, write_text
+from components.data.card import DatasetCard
 from components.data.imports.csv_table import CsvFormat
 from components.data.imports.describe import draft_schema
 from components.data.imports.importing import Imported, import_tables
@@ -22,6 +24,8 @@ from components.data.imports.report import FIGURE, report_figure, report_text
 from components.data.imports.schema import LogError, LogSchema, Repairs
 from components.data.imports.tables import Table
 from components.data.sources.minari_exchange import ForeignDatasetError, import_minari
+from components.environments.systems import SYSTEMS
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
@@ -29,6 +33,7 @@ from flows.configuration.files import shown
 from flows.configuration.log_schemas import checked_schema, fields_in
 from flows.configuration.plants import settings_of_log
 from flows.configuration.words import fields_of_words
+from flows.planning.judging import LEAST_EPISODES
 
 __all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
 
@@ -152,7 +157,8 @@ def import_log(settings: ImportSettings) -> int:
             tables = open_tables(settings.files, CsvFormat.of(schema))
             names = [table.name for table in tables]
             imported = _imported(tables, schema, settings)
-        _store(imported, names, text, settings)
+        warnings = [*imported.warnings, *_too_little(imported.dataset.card)]
+        _store(replace(imported, warnings=warnings), names, text, settings)
     except LogError as error:
         raise SettingsError(str(error)) from error
     return 0
@@ -272,6 +278,26 @@ def _below_home(folder: Path) -> Path:
     """A folder as files of conf/dataset name it."""
     home = files.home()
     return folder.relative_to(home) if folder.is_relative_to(home) else folder
+
+
+def _too_little(card: DatasetCard) -> list[str]:
+    """What a sweep over a log will leave out, as the log is too small for it."""
+    if card.environment in SYSTEMS:
+        return []
+    said = []
+    if card.trajectories < LEAST_EPISODES:
+        said.append(
+            f"The log has {card.trajectories} episodes, but it takes {LEAST_EPISODES} to divide it "
+            "into a part to learn from and one to judge by: its policies will not be judged."
+        )
+    model = RecurrentEnsembleConfig()
+    needed = model.warm_up + model.horizon
+    if card.steps < needed:
+        said.append(
+            f"The longest episode has {card.steps} steps, but models that read histories need "
+            f"{needed}: algorithms that learn with them refuse the log, and critics judge alone."
+        )
+    return said
 
 
 def _put(made: Path, folder: Path) -> None:

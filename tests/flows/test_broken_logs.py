@@ -282,6 +282,14 @@ def test_times_of_another_format_than_the_schema_says(project: Path) -> None:
     assert_says(refused(project, "log.csv"), r"time_format '%d\.%Q' cannot be read")
 
 
+def test_files_that_number_their_episodes_anew(project: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        (project / name).write_text(as_csv(furnace()), encoding="utf-8")
+    write_schema(project)
+    said = refused(project, "a.csv", "b.csv")
+    assert_says(said, r"^b\.csv, row 2: episode '0' .* in a\.csv, too; .* give gaps=split")
+
+
 def test_terminal_rows_in_the_middle_and_flags_that_are_none(project: Path) -> None:
     cells = {**furnace(), "tripped": ["0"] * 180}
     cells["tripped"][8] = "1"

@@ -356,6 +356,39 @@ def test_sensors_that_fail_are_warned_of_and_the_log_is_kept(
         assert re.search(f"Warning: {sentence}", said), said
 
 
+@pytest.mark.parametrize("stands", ["after", "same"])
+def test_a_reward_in_another_row_than_the_schema_says(
+    project: Path, capsys: pytest.CaptureFixture[str], stands: str
+) -> None:
+    cells = furnace(20, 90)
+    gas = np.array(cells["gas"], float)
+    if stands == "after":
+        gas = np.roll(gas, 1)  # the first row of an episode is not used
+    cells["profit"] = [
+        f"{-abs(float(t) - 800) - g:.3f}" for t, g in zip(cells["temperature"], gas, strict=True)
+    ]
+    other = {"after": "same", "same": "after"}[stands]
+    imported(cells, outcome_row=stands)
+    assert "outcome_row" not in capsys.readouterr().out
+    imported(cells, "replace=true", outcome_row=other)
+    assert re.search(
+        rf"Warning: The action of .* should outcome_row be {stands}\?", capsys.readouterr().out
+    )
+
+
+def test_what_a_sweep_will_leave_out_is_said(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imported(furnace(3, 80))
+    said = capsys.readouterr().out
+    assert "Warning: The log has 3 episodes, but it takes 4 to divide it" in said
+    assert (
+        "Warning: The longest episode has 79 steps, but models that read histories need 80" in said
+    )
+    imported(furnace(4, 81), "replace=true")
+    assert "Warning" not in capsys.readouterr().out
+
+
 def test_a_file_in_another_unit_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cells = furnace(20, 50)
     half = 500
@@ -376,7 +409,7 @@ def test_a_file_in_another_unit_is_named(project: Path, capsys: pytest.CaptureFi
 
 
 def test_a_log_as_it_should_be_has_no_warnings(project: Path) -> None:
-    imported(furnace(20, 50))
+    imported(furnace(20, 90))
     assert "## What looks wrong\n\nNothing." in Path("logs/furnace/report.md").read_text("utf-8")
 
 

@@ -92,7 +92,7 @@ class Collector:
     _last_time: Any = None
     _clock: tuple[str, str] = ("", "")
     _last_episode: Any = None
-    _episodes: set[Any] = field(default_factory=set)
+    _episodes: dict[Any, str] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:
         """Take a batch; batches come in the order of the log.
@@ -189,12 +189,18 @@ class Collector:
         for row in np.flatnonzero(starts):
             episode = ids[int(row)].as_py()
             if episode in self._episodes:
+                anew = self._episodes[episode] != batch.source
+                remedy = (
+                    f"it was in {self._episodes[episode]}, too; if every file numbers its episodes "
+                    "anew, leave episode out of the schema and give gaps=split, or rename them"
+                    if anew
+                    else "sort the rows, or give every episode a value of its own"
+                )
                 raise LogError(
                     f"{batch.place(int(row))}: episode {episode!r} of column "
-                    f"{self.schema.episode!r} begins again after another one; sort the rows, or "
-                    "give every episode a value of its own."
+                    f"{self.schema.episode!r} begins again after another one; {remedy}."
                 )
-            self._episodes.add(episode)
+            self._episodes[episode] = batch.source
         self._last_episode = ids[-1].as_py()
         return starts
 
