@@ -273,9 +273,9 @@ def _long_enough(rows: Rows, found: Episodes, repairs: Repairs) -> Episodes:
         long = ~short
         found = Episodes(found.begins[long], found.ends[long], found.repeated[long], found.notes)
     if len(found.begins) < 2:
-        count = "one episode" if len(found.begins) else "no episode"
+        number = "one episode" if len(found.begins) else "no episode"
         raise LogError(
-            f"the log has {count}; at least 2 are needed, as models are checked on held-out ones; "
+            f"the log has {number}; at least 2 are needed, as models are checked on held-out ones; "
             "give episode_rows to cut a long one."
         )
     return found
