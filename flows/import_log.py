@@ -1,17 +1,20 @@
 """Import a log of your own: ``python -m flows.import_log FILE... name=furnace [--describe]``."""
 
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from omegaconf import OmegaConf
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from rich.console import Console
 
 from components.core.files import temporary_name, write_text
+from components.data.card import DatasetCard
 from components.data.imports.csv_table import CsvFormat
 from components.data.imports.describe import draft_schema
 from components.data.imports.importing import Imported, import_tables
@@ -21,11 +24,16 @@ from components.data.imports.report import FIGURE, report_figure, report_text
 from components.data.imports.schema import LogError, LogSchema, Repairs
 from components.data.imports.tables import Table
 from components.data.sources.minari_exchange import ForeignDatasetError, import_minari
+from components.environments.systems import SYSTEMS
+from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from flows.command_line import command_words, run_door
 from flows.configuration import files
 from flows.configuration.checking import SettingsError, StrictModel, build_config
+from flows.configuration.files import shown
+from flows.configuration.log_schemas import checked_schema, fields_in
 from flows.configuration.plants import settings_of_log
 from flows.configuration.words import fields_of_words
+from flows.planning.judging import LEAST_EPISODES
 
 __all__ = ["ImportSettings", "import_log", "load_import_settings", "read_schema"]
 
@@ -55,11 +63,20 @@ _REPORT = "report.md"
 _SWITCHES = ("describe", "replace")
 
 
+def _plain_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+        raise SettingsError(
+            f"name={name!r} cannot be used: a name has letters, digits, . _ and - only, begins "
+            "with a letter or a digit, and has at most 100 characters."
+        )
+    return name
+
+
 class ImportSettings(StrictModel):
     """What to import, how to repair it and where to put it."""
 
     files: tuple[str, ...] = Field(min_length=1)
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)
+    name: Annotated[str, AfterValidator(_plain_name)]
     schema_file: Path | None = Field(default=None, alias="schema")
     describe: bool = False
     missing: Literal["refuse", "drop_episode", "forward_fill"] = "refuse"
@@ -114,14 +131,11 @@ def read_schema(path: Path) -> LogSchema:
         raise SettingsError(
             f"{path} is missing; add --describe to write a first draft of it, or give schema=FILE."
         )
-    content = OmegaConf.to_container(files.read_file(path), resolve=False)
+    fields = fields_in(path)
     try:
-        if isinstance(content, dict) and "actions" in content and not content["actions"]:
-            raise SettingsError("actions names none; write NAME: [LEAST, LARGEST] below it.")
-        schema: LogSchema = build_config(LogSchema, "", content)
+        return checked_schema(fields)
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
-    return schema
 
 
 def import_log(settings: ImportSettings) -> int:
@@ -140,17 +154,14 @@ def import_log(settings: ImportSettings) -> int:
         else:
             schema = read_schema(settings.described_by)
             text = settings.described_by.read_text(encoding="utf-8")
-            tables = open_tables(settings.files, _csv_format(schema))
+            tables = open_tables(settings.files, CsvFormat.of(schema))
             names = [table.name for table in tables]
             imported = _imported(tables, schema, settings)
-        _store(imported, names, text, settings)
+        warnings = [*imported.warnings, *_too_little(imported.dataset.card)]
+        _store(replace(imported, warnings=warnings), names, text, settings)
     except LogError as error:
         raise SettingsError(str(error)) from error
     return 0
-
-
-def _csv_format(schema: LogSchema) -> CsvFormat:
-    return CsvFormat(schema.delimiter, schema.decimal, schema.encoding)
 
 
 def _describe(settings: ImportSettings) -> int:
@@ -170,7 +181,7 @@ def _describe(settings: ImportSettings) -> int:
     else:  # a single column
         tables = open_tables(settings.files, CsvFormat())
     write_text(path, draft_schema(tables, settings.name))
-    print(f"{path}: a first draft of the schema. Correct it, then give the command without it.")
+    print(f"{path}: a first draft of the schema. Correct it, then repeat this without --describe.")
     return 0
 
 
@@ -189,16 +200,16 @@ def _check_place(settings: ImportSettings) -> None:
         )
     if named.exists() and not _names_folder(named, settings):
         raise SettingsError(
-            f"name={settings.name}: {_shown(named)} is there already and is not about "
-            f"{_shown(folder)}; choose another name, or remove it."
+            f"name={settings.name}: {shown(named)} is there already and is not about "
+            f"{shown(folder)}; choose another name, or remove it."
         )
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not settings.replace:
             raise SettingsError(
-                f"{_shown(folder)} is there already; give replace=true, or another name."
+                f"{shown(folder)} is there already; give replace=true, or another name."
             )
         if not (folder / "card.json").is_file():
-            raise SettingsError(f"to={_shown(folder)} holds no dataset to replace; name another.")
+            raise SettingsError(f"to={shown(folder)} holds no dataset to replace; name another.")
 
 
 def _names_folder(named: Path, settings: ImportSettings) -> bool:
@@ -207,11 +218,6 @@ def _names_folder(named: Path, settings: ImportSettings) -> bool:
     fields = content.get(settings.name)
     log = fields.get("log") if isinstance(fields, Mapping) else None
     return isinstance(log, str) and files.home() / log == settings.folder
-
-
-def _shown(path: Path) -> Path:
-    root = files.home()
-    return path.relative_to(root) if path.is_relative_to(root) else path
 
 
 def _own_export(settings: ImportSettings) -> Imported | None:
@@ -261,11 +267,37 @@ def _store(
         _put(made, folder)
     if not settings.named_in.exists():
         about = f"# imported by flows.import_log; {_REPORT} in its folder says what it holds\n"
-        own = {"log": str(_shown(folder)), **settings_of_log(dataset.card)}
+        own = {"log": str(_below_home(folder)), **settings_of_log(dataset.card)}
         content = {settings.name: own}
         settings.named_in.parent.mkdir(parents=True, exist_ok=True)
         write_text(settings.named_in, about + yaml.safe_dump(content, allow_unicode=True))
     _say(imported, settings)
+
+
+def _below_home(folder: Path) -> Path:
+    """A folder as files of conf/dataset name it."""
+    home = files.home()
+    return folder.relative_to(home) if folder.is_relative_to(home) else folder
+
+
+def _too_little(card: DatasetCard) -> list[str]:
+    """What a sweep over a log will leave out, as the log is too small for it."""
+    if card.environment in SYSTEMS:
+        return []
+    said = []
+    if card.trajectories < LEAST_EPISODES:
+        said.append(
+            f"The log has {card.trajectories} episodes, but it takes {LEAST_EPISODES} to divide it "
+            "into a part to learn from and one to judge by: its policies will not be judged."
+        )
+    model = RecurrentEnsembleConfig()
+    needed = model.warm_up + model.horizon
+    if card.steps < needed:
+        said.append(
+            f"The longest episode has {card.steps} steps, but models that read histories need "
+            f"{needed}: algorithms that learn with them refuse the log, and critics judge alone."
+        )
+    return said
 
 
 def _put(made: Path, folder: Path) -> None:
@@ -290,9 +322,9 @@ def _say(imported: Imported, settings: ImportSettings) -> None:
         print(f"Note: {sentence}")
     print(
         f"{settings.name}: {dataset.transitions:,} transitions in {dataset.episodes:,} episodes, "
-        f"mean return {dataset.card.first_window_return_mean:.5g}; {_shown(settings.folder)} has "
-        f"them and {_REPORT}. Next, for minutes: python -m flows.full_benchmark profile=quick "
-        f"datasets=[{settings.name}]"
+        f"mean return {dataset.card.first_window_return_mean:.5g}; {shown(settings.folder)} has "
+        f"them; read {shown(settings.folder / _REPORT)}. Next, for minutes: python -m "
+        f"flows.full_benchmark profile=quick datasets=[{settings.name}]"
     )
 
 

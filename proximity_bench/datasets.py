@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import pandas as pd
-from omegaconf import OmegaConf
 
 from components.core.integrity import MissingFileError
 from components.data.dataset import OfflineDataset
@@ -16,10 +15,9 @@ from components.data.imports.importing import import_tables
 from components.data.imports.schema import LogSchema, Repairs
 from components.data.imports.tables import Table
 from components.data.sources.source import DatasetSource, generate
-from flows.configuration.checking import build_config
 from flows.configuration.composition import base_layers
-from flows.configuration.files import read_file
 from flows.configuration.given import settings_of
+from flows.configuration.log_schemas import checked_schema, fields_in
 from flows.planning.nodes import data_node
 
 __all__ = ["PROFILE", "dataset"]
@@ -81,7 +79,7 @@ def dataset(
             _refuse("schema", schema, f"{source} was exported by this project")
             return _renamed(exported, name)
     columns = _schema(schema, source)
-    tables = _tables(source, CsvFormat(columns.delimiter, columns.decimal, columns.encoding))
+    tables = _tables(source, CsvFormat.of(columns))
     own = _free_name(name or "log")
     return import_tables(tables, columns, Repairs(missing, gaps, short), own).dataset
 
@@ -174,9 +172,8 @@ def _schema(schema: Schema | None, source: object) -> LogSchema:
         place = str(schema)
         if not Path(schema).expanduser().is_file():
             raise MissingFileError(f"There is no schema {schema}", None, "see docs/own_log.md")
-        fields = OmegaConf.to_container(read_file(Path(schema).expanduser()), resolve=False)  # type: ignore[assignment]
-    made: LogSchema = build_config(LogSchema, place, fields)
-    return made
+        fields = fields_in(Path(schema).expanduser())
+    return checked_schema(fields, place)
 
 
 def _tables(source: str | Path | pd.DataFrame, form: CsvFormat) -> list[Table]:

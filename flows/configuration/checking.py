@@ -88,7 +88,10 @@ def build_config(kind: Any, path: str, fields: Any, *, exact: bool = False) -> A
     try:
         return _holder(kind)(held=fields).held  # type: ignore[attr-defined]
     except ValidationError as error:
-        raise SettingsError(_sentence(kind, path, error.errors()[0])) from error
+        found = error.errors()
+        # A misspelt key is missing under its right name, too.
+        first = next((e for e in found if e["type"] in _UNKNOWN), found[0])
+        raise SettingsError(_sentence(kind, path, first)) from error
 
 
 @cache

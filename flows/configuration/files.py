@@ -27,6 +27,7 @@ __all__ = [
     "read_datasets",
     "read_file",
     "read_folder",
+    "shown",
 ]
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
@@ -84,14 +85,15 @@ def foreign_in(folder: Path) -> list[str]:
     found = sorted(path for path in folder.glob("*") if path.is_file())
     hidden = [path for path in found if path.name.startswith(".") and path.suffix == ".yaml"]
     others = [path for path in found if not path.name.startswith(".") and path.suffix != ".yaml"]
-    return [f"{_shown(path)} is hidden and not read." for path in hidden] + [
-        f"{_shown(path)} is not read; a file of settings ends in .yaml." for path in others
+    return [f"{shown(path)} is hidden and not read." for path in hidden] + [
+        f"{shown(path)} is not read; a file of settings ends in .yaml." for path in others
     ]
 
 
-def _shown(path: Path) -> Path:
-    """How messages name a file."""
-    return path.relative_to(CONF.parent) if path.is_relative_to(CONF.parent) else path
+def shown(path: Path) -> Path:
+    """How messages name a file, to be pasted: from the current folder on if it is below it."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def read_file(path: Path) -> DictConfig:
@@ -100,18 +102,18 @@ def read_file(path: Path) -> DictConfig:
     Raises:
         SettingsError: It cannot be read, or holds something else.
     """
-    shown = _shown(path)
+    named = shown(path)
     try:
         content = OmegaConf.load(path)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f" in line {mark.line + 1}" if mark else ""
-        raise SettingsError(f"{shown} is no valid YAML{place}; correct or remove it.") from error
+        raise SettingsError(f"{named} is no valid YAML{place}; correct or remove it.") from error
     except (OSError, UnicodeDecodeError, OmegaConfBaseException) as error:
         reason = first_line(error).rstrip(".")
-        raise SettingsError(f"{shown} cannot be read: {reason}; correct or remove it.") from error
+        raise SettingsError(f"{named} cannot be read: {reason}; correct or remove it.") from error
     if not isinstance(content, DictConfig):
-        raise SettingsError(f"{shown} must hold keys and values, KEY: VALUE.")
+        raise SettingsError(f"{named} must hold keys and values, KEY: VALUE.")
     return content
 
 
@@ -165,7 +167,7 @@ def _read_own(path: Path, name: str) -> Any:
     if [str(key) for key in content] != [name]:
         holds = ", ".join(repr(str(key)) for key in content) or "nothing"
         raise SettingsError(
-            f"{_shown(path)} must hold one key, its own name {name!r}, but holds {holds}; "
+            f"{shown(path)} must hold one key, its own name {name!r}, but holds {holds}; "
             "rename the file or the key, or remove the file."
         )
     [own] = content.values()

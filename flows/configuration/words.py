@@ -33,6 +33,11 @@ def split_word(
         raise SettingsError(f"{word!r}: settings are written without dashes; write {remedy}.")
     if key and not equals and is_on_off(key):
         raise SettingsError(f"{word!r} has no value; write {key}=true.")
+    if (not equals and word[-1:] in (",", "]", "}")) or word[:1] in ("[", "{"):
+        raise SettingsError(
+            f"{word!r} seems to belong to the word before it: write lists without spaces inside "
+            "[ ] and after =, or put quotation marks around the whole word."
+        )
     if not equals or not key or key[0] in "+~":
         raise SettingsError(f"{word!r} is not an override; write key=value, e.g. {example}.")
     return key, value
@@ -65,6 +70,8 @@ def fields_of_words(
         if word.startswith("--") and word[2:] in switches:
             word = f"{word[2:]}=true"
         elif switches and (word.startswith("-") or "=" not in word) and word not in on_off:
+            if word[-1:] in (",", "]", "}"):
+                split_word(word)  # says what is wrong with a list
             also = "".join(f", or --{name}" for name in switches)
             raise SettingsError(f"{word!r} is not a setting; write key=value{also}.")
         key, value = split_word(word, lambda name: name in on_off, example="store=mlruns")

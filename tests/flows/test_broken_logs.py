@@ -84,7 +84,10 @@ CELLS = {
     "infinite action": (put("air", 9, "-inf"), r"log\.csv, row 9: 'air' is missing"),
     "missing reward": (put("profit", 20, ""), r"log\.csv, row 20: 'profit' is missing"),
     "huge": (put("temperature", 7, "1e30"), r"row 7: 'temperature' is 1e\+30, too large"),
-    "text in a cell": (put("oxygen", 12, "broken"), r"row 12: 'oxygen' is 'broken', .* no number"),
+    "text in a cell": (
+        put("oxygen", 12, "broken"),
+        r"row 12: 'oxygen' is 'broken', .* give `na_values: \['broken'\]` in",
+    ),
     "column of text": (constant("oxygen", "high"), r"log\.csv, row 2: 'oxygen' is 'high'"),
     "column of flags": (constant("oxygen", "true"), r"row 2: 'oxygen' is 'true'; write 1 and 0"),
     "thousands separators": (
@@ -130,7 +133,10 @@ CELLS = {
         r"row 25: 'time' is '2026-03-01T00:03:50\+01:00', but '2026-03-01T00:00:00' before it",
     ),
     "no time": (put("time", 6, "noon"), r"log\.csv, row 6: 'time' is 'noon', which is no time"),
-    "local dates": (constant("time", "31.12.2025 10:00"), r"row 2: 'time' is '31\.12\.2025 10:00'"),
+    "local dates": (
+        constant("time", "31.12.2025 10:00"),
+        r"row 2: 'time' is '31\.12\.2025 10:00', .* give `time_format: '%d\.%m\.%Y %H:%M'` in",
+    ),
     "text among numbers of time": (
         lambda cells: [
             put("time", r, "x" if r == 9 else str(10 * r))(cells) for r in range(2, 182)
@@ -155,7 +161,7 @@ CELLS = {
         r"log\.csv, row 2: feature 'oxygen' equals action 'gas'",
     ),
     "one row": (drop_rows(3, 181), r"log\.csv, row 2: the episode .* has a single row"),
-    "one episode": (drop_rows(32, 181), r"log\.csv, row 2: the log has 1 episodes from here on"),
+    "one episode": (drop_rows(32, 181), r"^the log has one episode; at least 2 are"),
     "no rows": (drop_rows(2, 181), r"log\.csv has no rows below row 1"),
 }
 
@@ -262,6 +268,28 @@ def test_files_whose_times_do_not_fit_together(project: Path) -> None:
     assert_says(said, r"b\.csv, row 2: times 'time' are time stamps with .* a\.csv, row 2 time")
 
 
+def test_times_of_another_format_than_the_schema_says(project: Path) -> None:
+    cells = furnace()
+    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}" for t in cells["time"]]
+    put("time", 9, "2026-03-01 00:01:10")(cells)
+    (project / "log.csv").write_text(as_csv(cells), encoding="utf-8")
+    write_schema(project, time_format="%d.%m.%Y %H:%M:%S")
+    said = refused(project, "log.csv")
+    assert_says(
+        said, r"log\.csv, row 9: 'time' is '2026-03-01 00:01:10', .* no time of time_format"
+    )
+    write_schema(project, time_format="%d.%Q")
+    assert_says(refused(project, "log.csv"), r"time_format '%d\.%Q' cannot be read")
+
+
+def test_files_that_number_their_episodes_anew(project: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        (project / name).write_text(as_csv(furnace()), encoding="utf-8")
+    write_schema(project)
+    said = refused(project, "a.csv", "b.csv")
+    assert_says(said, r"^b\.csv, row 2: episode '0' .* in a\.csv, too; .* give gaps=split")
+
+
 def test_terminal_rows_in_the_middle_and_flags_that_are_none(project: Path) -> None:
     cells = {**furnace(), "tripped": ["0"] * 180}
     cells["tripped"][8] = "1"
@@ -296,12 +324,18 @@ SCHEMAS = {
     "no row": ({"outcome_row": None}, "outcome_row is missing; say whether"),
     "draft": ({"outcome_row": "FILL_IN"}, "outcome_row='FILL_IN': Input should be 'after' or"),
     "weight": ({"reward": None, "reward_weights": {"x": 1}}, "reward_weights names 'x', which"),
+    "format alone": ({"time": None, "time_format": "%d"}, "time_format is given without time"),
     "sampling": ({"sampling": None}, "time needs sampling"),
     "history": ({"history": 0}, "history is 0; give at least 1"),
     "discount": ({"discount": 1.5}, r"discount is 1\.5"),
     "no features": ({"features": []}, "features is empty"),
     "text for a number": ({"history": "ten"}, "history='ten'"),
-    "no group": ({"actions": ["gas"]}, "actions="),
+    "misspelt and missing": (
+        {"feature": ["a"], "features": None},
+        r"Unknown key 'feature'; .*s'\?",
+    ),
+    "no group": ({"actions": ["gas"]}, r"actions is \['gas'\]; write NAME: \[LEAST, LARGEST\]"),
+    "no weights": ({"reward_weights": ["gas"]}, r"reward_weights is .*; write NAME: WEIGHT"),
     "reward as a feature": ({"features": ["reward", "oxygen"]}, "rename the column"),
 }
 
@@ -404,7 +438,10 @@ def test_wrong_command_lines(project: Path) -> None:
     assert said("a.csv") == "name= is missing; write e.g. name=furnace."
     assert_says(said("a.csv", "name=a", "mising=drop_episode"), "Did you mean 'missing'")
     assert_says(said("a.csv", "name=a", "missing=drop"), "missing='drop': Input should be 'refuse'")
-    assert_says(said("a.csv", "name=../a"), "name='../a'")
+    assert_says(
+        said("a.csv", "name=../a"), r"^name='\.\./a' cannot .* letters, digits, \. _ and - only"
+    )
+    assert_says(said("a.csv", "name=Tank A"), r"^name='Tank A' cannot be used")
     assert_says(said("a.csv", "name=a", "name=b"), "name is given twice")
 
 

@@ -101,7 +101,10 @@ def test_the_folder_holds_a_report_and_conf_names_it(
 
 
 def test_with_a_folder_of_ones_own_everything_is_there(
-    project: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    project: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     own = tmp_path_factory.mktemp("own")
     monkeypatch.setenv(files.HOME, str(own))
@@ -110,6 +113,8 @@ def test_with_a_folder_of_ones_own_everything_is_there(
     words = ["log.csv", "name=furnace", "replace=true"]
     for _ in range(2):
         assert import_log(load_import_settings(words)) == 0
+    said = capsys.readouterr().out
+    assert f"{own}/logs/furnace has them; read {own}/logs/furnace/report.md" in said  # to be pasted
     assert OfflineDataset.open(own / "logs" / "furnace").card.name == "furnace"
     named = (own / "conf" / "dataset" / "furnace.yaml").read_text(encoding="utf-8")
     assert yaml.safe_load(named)["furnace"]["log"] == "logs/furnace"
@@ -171,6 +176,36 @@ def test_missing_values_are_filled_in_or_their_episodes_left_out(project: Path) 
     put("oxygen", 2, "")(cells)
     with pytest.raises(SettingsError, match=r"row 2: 'oxygen' is missing, and its episode has no"):
         imported(cells, "missing=forward_fill", "replace=true")
+
+
+def test_what_a_historian_writes_for_no_value_is_missing(project: Path) -> None:
+    cells = furnace()
+    digest = []
+    for code in ("", "Bad Input", "-9999.00"):
+        put("oxygen", 17, code)(cells)
+        words = ["missing=forward_fill", "replace=true"]
+        log = imported(cells, *words, na_values=["Bad Input", -9999])
+        digest.append(log.card.digest)
+    assert len({*digest}) == 1
+    report = Path("logs/furnace/report.md").read_text(encoding="utf-8")
+    assert "- Missing values repeat the row before: 1 of oxygen." in report
+    with pytest.raises(SettingsError, match="row 17: 'oxygen' is missing"):
+        imported(cells, "replace=true", na_values=[-9999])
+
+
+def test_times_in_a_format_of_their_own(project: Path) -> None:
+    cells = furnace()
+    digest = imported(cells).card.digest
+    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}.25" for t in cells["time"]]
+    form = {"time_format": "%d.%m.%Y %H:%M:%S.%f"}
+    assert imported(cells, "replace=true", **form).card.digest == digest
+    cells["time"] = [f"{time} +0200" for time in cells["time"]]
+    form = {"time_format": "%d.%m.%Y %H:%M:%S.%f %z"}
+    assert imported(cells, "replace=true", **form).card.digest == digest
+    numbers = {n: np.array(v, float) for n, v in cells.items() if n != "time"}
+    pq.write_table(pa.table({**numbers, "time": cells["time"]}), "log.parquet")
+    import_log(load_import_settings(["log.parquet", "name=furnace", "replace=true"]))
+    assert OfflineDataset.open(Path("logs/furnace")).card.digest == digest
 
 
 def test_the_unused_action_of_the_last_row_may_be_missing(project: Path) -> None:
@@ -302,8 +337,79 @@ def test_what_looks_wrong_is_a_warning_in_the_report_and_on_the_screen(
     assert abs(row - half) <= 25  # a part of this log has so many rows
 
 
+def test_sensors_that_fail_are_warned_of_and_the_log_is_kept(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = furnace(20, 50)
+    cells["pressure"] = [f"{x:.3f}" for x in np.random.default_rng(1).normal(1.1, 0.01, 1000)]
+    cells["fahrenheit"] = [f"{float(v) * 1.8 + 32:.2f}" for v in cells["temperature"]]
+    cells["pressure"][200:400] = ["1.103"] * 200
+    for row in (120, 340, 600):
+        put("oxygen", row, "-9999")(cells)
+    imported(cells, features=["temperature", "oxygen", "pressure", "fahrenheit"])
+    said = capsys.readouterr().out
+    for sentence in (
+        r"log\.csv, row 202: feature 'pressure'.* stands still at 1\.103 for 200 rows from here",
+        r"log\.csv, row 120: feature 'oxygen' is -9999 in 3 rows, first here, .*na_values: \[-9999",
+        r"Feature 'fahrenheit' is a copy of feature 'temperature' .* 1\.8 \* temperature \+ 32;",
+    ):
+        assert re.search(f"Warning: {sentence}", said), said
+
+
+@pytest.mark.parametrize("stands", ["after", "same"])
+def test_a_reward_in_another_row_than_the_schema_says(
+    project: Path, capsys: pytest.CaptureFixture[str], stands: str
+) -> None:
+    cells = furnace(20, 90)
+    gas = np.array(cells["gas"], float)
+    if stands == "after":
+        gas = np.roll(gas, 1)  # the first row of an episode is not used
+    cells["profit"] = [
+        f"{-abs(float(t) - 800) - g:.3f}" for t, g in zip(cells["temperature"], gas, strict=True)
+    ]
+    other = {"after": "same", "same": "after"}[stands]
+    imported(cells, outcome_row=stands)
+    assert "outcome_row" not in capsys.readouterr().out
+    imported(cells, "replace=true", outcome_row=other)
+    assert re.search(
+        rf"Warning: The action of .* should outcome_row be {stands}\?", capsys.readouterr().out
+    )
+
+
+def test_what_a_sweep_will_leave_out_is_said(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imported(furnace(3, 80))
+    said = capsys.readouterr().out
+    assert "Warning: The log has 3 episodes, but it takes 4 to divide it" in said
+    assert (
+        "Warning: The longest episode has 79 steps, but models that read histories need 80" in said
+    )
+    imported(furnace(4, 81), "replace=true")
+    assert "Warning" not in capsys.readouterr().out
+
+
+def test_a_file_in_another_unit_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = furnace(20, 50)
+    half = 500
+    Path("a.csv").write_text(as_csv({n: v[:half] for n, v in cells.items()}), encoding="utf-8")
+    later = {n: v[half:] for n, v in cells.items()}
+    later["gas"] = [f"{float(v) / 60:.4f}" for v in later["gas"]]  # per second
+    Path("b.csv").write_text(as_csv(later), encoding="utf-8")
+    write_schema(project)
+    import_log(load_import_settings(["a.csv", "b.csv", "name=furnace"]))
+    said = re.search(
+        r"Warning: b\.csv, row 2, where this file begins: action 'gas' seems to be in another unit "
+        r"than in a\.csv: its median goes from (\S+) to (\S+) and stays",
+        capsys.readouterr().out,
+    )
+    assert said
+    assert 40 < float(said[1]) < 60  # in the log's units
+    assert 40 < 60 * float(said[2]) < 60
+
+
 def test_a_log_as_it_should_be_has_no_warnings(project: Path) -> None:
-    imported(furnace(20, 50))
+    imported(furnace(20, 90))
     assert "## What looks wrong\n\nNothing." in Path("logs/furnace/report.md").read_text("utf-8")
 
 
@@ -377,6 +483,29 @@ def test_a_draft_needs_few_corrections_and_is_never_overwritten(project: Path, k
     assert (described.reward, described.episode, described.time) == ("profit", "run", "time")
     assert described.sampling == 10
     assert import_log(load_import_settings(words)) == 0
+
+
+def test_a_draft_of_a_german_file_names_all_that_is_odd_about_it(project: Path) -> None:
+    cells = furnace()
+    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}" for t in cells["time"]]
+    cells |= {"site": ["Basel"] * 180, "tank": ["1"] * 180, "action_gas": cells.pop("gas")}
+    put("oxygen", 17, "Bad Input")(cells)
+    text = as_csv(
+        {n: [v.replace(".", ",") if n != "time" else v for v in c] for n, c in cells.items()}, ";"
+    )
+    Path("log.csv").write_text(text, encoding="utf-8")
+    words = ["log.csv", "name=furnace"]
+    import_log(load_import_settings([*words, "--describe"]))
+    draft = Path("furnace.yaml").read_text(encoding="utf-8")
+    assert "# Not used:\n#   site: text, e.g. 'Basel'\n#   tank: always 1 in these rows\n" in draft
+    Path("furnace.yaml").write_text(draft.replace("FILL_IN", "after"), encoding="utf-8")
+    described = read_schema(Path("furnace.yaml"))
+    assert described.features == ("temperature", "oxygen", "air")
+    assert (described.delimiter, described.decimal) == (";", ",")
+    assert described.time_format == "%d.%m.%Y %H:%M:%S"
+    assert described.na_values == ("Bad Input",)
+    assert described.sampling == 10
+    assert import_log(load_import_settings([*words, "missing=forward_fill"])) == 0
 
 
 @pytest.fixture

@@ -121,6 +121,14 @@ def test_what_cannot_be_is_one_sentence(
     assert "\n" not in str(error.value)
 
 
+def test_texts_for_no_value_in_a_dataframe_are_missing() -> None:
+    rows = spoiled()
+    rows = rows.astype({"oxygen": object})
+    rows.loc[17, "oxygen"] = "Bad Input"
+    log = pb.dataset(rows, schema={**PLAIN, "na_values": ["Bad Input"]}, missing="forward_fill")
+    assert log.frames[17, 1] == log.frames[16, 1]
+
+
 @pytest.mark.parametrize(
     ("source", "options", "reason"),
     [

@@ -19,6 +19,7 @@ import pyarrow.csv as pacsv
 
 from components.data.imports.schema import LogError, LogSchema
 from components.data.imports.tables import Batch, as_batch
+from components.data.imports.times import guess_format
 
 __all__ = ["CsvFormat", "CsvTable"]
 
@@ -28,6 +29,8 @@ _ZONE: Final = re.compile(r"\d(Z|[+-]\d\d:?\d\d)$")
 _THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}([,.'’_ \u00a0\u202f]\d{3})+([.,]\d+)?")
 _COMMA: Final = re.compile(r"[+-]?\d*,\d+")
 _UNIT: Final = re.compile(r"[+-]?[\d.,]+([eE][+-]?\d+)?\s*[A-Za-zµΩ°%‰$€].*")
+_NO_VALUE: Final[Sequence[str]] = pacsv.ConvertOptions().null_values
+"""What stands for no value in any file, such as NaN."""
 _FLAGS: Final = ("0", "1", "true", "True", "TRUE", "false", "False", "FALSE")
 
 
@@ -38,6 +41,12 @@ class CsvFormat:
     delimiter: str = ","
     decimal: str = "."
     encoding: str = "utf-8"
+    na_texts: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, schema: LogSchema) -> "CsvFormat":
+        """What a schema says about it."""
+        return cls(schema.delimiter, schema.decimal, schema.encoding, schema.na_texts)
 
 
 @dataclass(frozen=True)
@@ -106,7 +115,7 @@ class CsvTable:
         if schema.episode:
             types[schema.episode] = pa.string()
         if schema.time:
-            types[schema.time] = self._time_type(schema.time)
+            types[schema.time] = pa.string() if schema.time_format else self._time_type(schema.time)
         row = 2
         try:
             for batch in self._read(types, _BLOCK):
@@ -119,7 +128,7 @@ class CsvTable:
 
     def sample(self, rows: int) -> dict[str, Any]:
         """The first rows of all its columns, with the types that they seem to have."""
-        convert = pacsv.ConvertOptions(decimal_point=self.format.decimal, strings_can_be_null=True)
+        convert = self._convert()
         try:
             with self._opened(convert, block=_HEAD) as reader:
                 for batch in reader:
@@ -142,13 +151,17 @@ class CsvTable:
             convert_options=convert,
         )
 
-    def _read(self, types: dict[str, Any], block: int, **parse: Any) -> Iterator[Any]:
-        convert = pacsv.ConvertOptions(
-            include_columns=list(types),
-            column_types=types,
+    def _convert(self, **options: Any) -> Any:
+        """How cells become values."""
+        return pacsv.ConvertOptions(
             strings_can_be_null=True,
             decimal_point=self.format.decimal,
+            null_values=[*_NO_VALUE, *self.format.na_texts],
+            **options,
         )
+
+    def _read(self, types: dict[str, Any], block: int, **parse: Any) -> Iterator[Any]:
+        convert = self._convert(include_columns=list(types), column_types=types)
         # Rows are numbered for the handler of invalid ones by a single thread alone.
         with self._opened(convert, block=block, threads=not parse, **parse) as reader:
             yield from reader
@@ -157,10 +170,7 @@ class CsvTable:
         """The type of a column of time, by its first values."""
         found: Any = pa.null()
         try:
-            convert = pacsv.ConvertOptions(
-                include_columns=[name], decimal_point=self.format.decimal
-            )
-            with self._opened(convert, block=1 << 16) as reader:
+            with self._opened(self._convert(include_columns=[name]), block=1 << 16) as reader:
                 found = reader.schema.field(0).type
         except pa.ArrowException:  # the whole reading explains it
             return pa.float64()
@@ -240,7 +250,13 @@ def _wrong_time(text: str, first: str) -> str | None:
     try:
         pa.array([text]).cast(kind)
     except pa.ArrowException:
-        return f"is {text!r}, which is no time; write e.g. 2026-01-31 12:00:00, or numbers."
+        form = guess_format(text)
+        if form is not None:
+            return f"is {text!r}, which is no ISO time; give `time_format: '{form}'` in the schema."
+        return (
+            f"is {text!r}, which is no time; write e.g. 2026-01-31 12:00:00, or numbers, or give "
+            "time_format in the schema."
+        )
     return None
 
 
@@ -263,4 +279,7 @@ def _wrong_number(text: str, decimal: str) -> str | None:
         )
     if _UNIT.fullmatch(text):
         return f"is {text!r}, a number with a unit; write numbers alone, all in one unit."
-    return f"is {text!r}, which is no number; leave it empty where a value is missing."
+    return (
+        f"is {text!r}, which is no number; if it stands for no value, give "
+        f"`na_values: [{text!r}]` in the schema."
+    )

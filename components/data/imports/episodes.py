@@ -273,10 +273,9 @@ def _long_enough(rows: Rows, found: Episodes, repairs: Repairs) -> Episodes:
         long = ~short
         found = Episodes(found.begins[long], found.ends[long], found.repeated[long], found.notes)
     if len(found.begins) < 2:
-        where = rows.place(int(found.begins[0])) if len(found.begins) else rows.place(0)
+        number = "one episode" if len(found.begins) else "no episode"
         raise LogError(
-            f"{where}: the log has {len(found.begins)} episodes from here on, but models are "
-            "checked on held-out episodes, so at least 2 are needed; give episode_rows to cut a "
-            "long one."
+            f"the log has {number}; at least 2 are needed, as models are checked on held-out ones; "
+            "give episode_rows to cut a long one."
         )
     return found

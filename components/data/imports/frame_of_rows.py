@@ -37,7 +37,9 @@ class DataFrameTable:
             raise LogError(f"{self.name} has no rows; give one that has.")
         for first in range(0, len(self.frame), _ROWS):
             rows = self.frame.iloc[first : first + _ROWS]
-            columns = {name: self._column(rows, name, first) for name in schema.columns}
+            columns = {
+                name: self._column(rows, name, first, schema.na_texts) for name in schema.columns
+            }
             types = pa.schema([(name, column.type) for name, column in columns.items()])
             check_types(self.name, types, schema)
             yield as_batch(self.name, first + 1, columns, schema, opens=first == 0)
@@ -47,8 +49,10 @@ class DataFrameTable:
         head = self.frame.iloc[:rows]
         return {name: self._column(head, name, 0) for name in self.columns}
 
-    def _column(self, rows: pd.DataFrame, name: str, first: int) -> Any:
-        """A column of some rows as an Arrow array.
+    def _column(
+        self, rows: pd.DataFrame, name: str, first: int, na_texts: Sequence[str] = ()
+    ) -> Any:
+        """A column of some rows as an Arrow array, empty where one of `na_texts` stands.
 
         Raises:
             LogError: Its values are of several kinds, or of none that Arrow knows.
@@ -57,12 +61,15 @@ class DataFrameTable:
             values: Any = rows.index.get_level_values(name).to_series()
         else:
             values = rows.iloc[:, [str(column) for column in rows.columns].index(name)]
+        if na_texts and values.dtype == object:
+            values = values.where(~values.isin(na_texts))
         try:
             column = pa.Array.from_pandas(values)
         except (pa.ArrowException, TypeError, OverflowError) as error:
             raise LogError(
                 f"{self.name}: column {name!r} holds values of several kinds from row {first + 1} "
-                "on, not numbers; convert it or leave it out."
+                "on, not numbers; convert it, leave it out, or name texts that stand for no value "
+                "in na_values."
             ) from error
         if pa.types.is_null(column.type):  # only missing values
             return column.cast(pa.float64())

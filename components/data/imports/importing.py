@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from components.data.assembly import assemble
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import REWARD
+from components.data.imports.columns import Column
 from components.data.imports.episodes import Episodes, find_episodes
-from components.data.imports.quality import Column, refuse_empty_columns, warnings_about
+from components.data.imports.quality import refuse_empty_columns, warnings_about
 from components.data.imports.rows import Collector, Rows
 from components.data.imports.schema import Known, LogError, LogSchema, Repairs
 from components.data.imports.tables import Table, check_columns
@@ -77,7 +78,13 @@ def import_tables(
     del rows
     gc.collect()
     refuse_empty_columns(columns[:-1], _at_steps(arrays, layout))
-    warnings = warnings_about(columns, arrays, schema.history, fitted=not schema.weights)
+    warnings = warnings_about(
+        columns,
+        arrays,
+        schema.history,
+        fitted=not schema.weights,
+        same_row=schema.same_row,
+    )
     if schema.known is not None:
         _check_known(arrays, schema, layout, columns[0].place)
     try:
@@ -173,12 +180,12 @@ def _arrays(
         "truncated": truncated,
         "episode_starts": starts,
     }
-    return arrays, _columns(arrays, rows.place, begins, schema, layout)
+    return arrays, _columns(arrays, rows, begins, schema, layout)
 
 
 def _columns(
     arrays: dict[str, NDArray[Any]],
-    place: Callable[[int], str],
+    rows: Rows,
     begins: NDArray[np.int64],
     schema: LogSchema,
     layout: _Layout,
@@ -186,27 +193,37 @@ def _columns(
     """Features, actions and the reward, with the rows of the log that they come from."""
     starts = arrays["episode_starts"]
     first_frames = starts + np.arange(len(starts))
+    at, of = rows.place, rows.source  # without the arrays of all rows, which are large
 
-    def of_frame(frame: int) -> str:
+    def of_frame(frame: int) -> int:
         episode = int(np.searchsorted(first_frames, frame, side="right")) - 1
-        return place(int(begins[episode] + frame - first_frames[episode]))
+        return int(begins[episode] + frame - first_frames[episode])
 
-    def of_step(step: int, later: int = 0) -> str:
+    def of_step(step: int, later: int = 0) -> int:
         episode = int(np.searchsorted(starts, step, side="right")) - 1
-        return place(int(begins[episode] + step - starts[episode] + later))
+        return int(begins[episode] + step - starts[episode] + later)
 
+    def column(
+        name: str, role: str, values: Any, row: Callable[[int], int], **about: Any
+    ) -> Column:
+        return Column(name, role, values, lambda i: at(row(i)), lambda i: of(row(i)), **about)
+
+    known = schema.known.features if schema.known is not None else ()
     columns = [
-        Column(schema.features[k], "feature", arrays["frames"][:, n], of_frame)
-        for n, k in enumerate(layout.feature_columns)
+        column(name, "feature", arrays["frames"][:, n], of_frame, follows=name in known)
+        for n, name in enumerate(layout.features)
     ]
     order = tuple(schema.actions)
     columns += [
-        Column(order[k], "action", arrays["actions"][:, n], of_step)
+        column(order[k], "action", arrays["actions"][:, n], of_step, bounds=layout.bounds[n])
         for n, k in enumerate(layout.action_columns)
     ]
     later = 1 if schema.reward_after else 0
     named = schema.reward or REWARD
-    return [*columns, Column(named, "reward", arrays["rewards"], lambda i: of_step(i, later))]
+    return [
+        *columns,
+        column(named, "reward", arrays["rewards"], lambda step: of_step(step, later)),
+    ]
 
 
 def _at_steps(

@@ -4,47 +4,27 @@ Columns that never change and columns that are copies of others are refused. Eve
 sentence of warning: the log can be used, and its owner knows better what it means.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from components.data.imports.columns import Column
+from components.data.imports.faults import fault_warnings
+from components.data.imports.jumps import jump_warning
 from components.data.imports.schema import LogError
 
-__all__ = ["Column", "find_jump", "refuse_empty_columns", "reward_explained", "warnings_about"]
+__all__ = ["outcome_doubt", "refuse_empty_columns", "reward_explained", "warnings_about"]
 
-_BLOCKS: Final = 48
-"""Equal parts of a log whose medians and spreads are compared."""
-_LEAST_IN_BLOCK: Final = 20
 _PROBE: Final = 1000  # rows compared first
-_SAMPLED: Final = 2000  # rows looked at of a block
-_JUMP: Final = 4.0
-"""A jump moves the medians by so many of their own deviations on either side."""
-_SCALED: Final = 4.0  # a change of units multiplies the spread by at least so much
 _FITTED: Final = 20_000  # transitions that the reward is fitted to
 _EXPLAINED: Final = 0.2
 """Share of the reward's variance below which the features are said to leave it unexplained."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a log.
-
-    Attributes:
-        name: Of the column.
-        role: `feature`, `action` or `reward`.
-        values: `[R]` float32.
-        place: File and row of a value.
-    """
-
-    name: str
-    role: str
-    values: NDArray[Any]
-    place: Callable[[int], str]
+_MORE: Final = 0.02
+"""By so much of the variance another `outcome_row` must explain more, besides half of what the
+schema's leaves: both fits have as many terms, so chance alone makes no such difference."""
 
 
 def refuse_empty_columns(
@@ -83,96 +63,86 @@ def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
     return bool(np.abs(one - other).max() <= near)
 
 
-def find_jump(values: NDArray[np.float32]) -> tuple[int, str] | None:
-    """Where a column seems to have changed its unit, once and for good.
-
-    The medians of equal parts of the column lie in two groups, before and after one part, that are
-    further apart than `_JUMP` of their deviations within the groups; or so do the spreads.
-
-    Args:
-        values: `[R]` in the order of the log.
-
-    Returns:
-        The first row of the later group and what changed; None where nothing did.
-    """
-    size = len(values) // _BLOCKS
-    blocks = _BLOCKS if size >= _LEAST_IN_BLOCK else len(values) // _LEAST_IN_BLOCK
-    if blocks < 6:
-        return None
-    edges = np.linspace(0, len(values), blocks + 1).astype(int)
-    parts = []
-    for begin, end in pairwise(edges):
-        step = max(1, (end - begin) // _SAMPLED)
-        parts.append(np.percentile(values[begin:end:step].astype(np.float64), (25, 50, 75)))
-    low, middle, high = np.stack(parts, axis=1)
-    spread = high - low
-    typical = float(np.median(spread))
-    found = _change(middle, floor=typical / 2)
-    if found is not None:
-        k, before, after = found
-        return int(edges[k]), f"its median goes from {before:g} to {after:g} and stays there"
-    if (spread > 0).all():
-        found = _change(np.log(spread), floor=math.log(_SCALED) / _JUMP)
-        if found is not None:
-            k, before, after = found
-            factor = math.exp(after - before)
-            return int(edges[k]), f"its spread changes by a factor of {factor:.3g} and stays so"
-    return None
-
-
-def _change(values: NDArray[np.float64], floor: float) -> tuple[int, float, float] | None:
-    """The block where values step from one level to another; with the levels."""
-    best: tuple[float, int, float, float] | None = None
-    for k in range(3, len(values) - 2):
-        left, right = values[:k], values[k:]
-        if not (left.max() < right.min() or right.max() < left.min()):
-            continue
-        before, after = float(np.median(left)), float(np.median(right))
-        # A change of units takes one row, while drifts and random walks take many blocks.
-        if abs(values[k + 1] - values[k - 1]) < abs(after - before) / 2:
-            continue
-        within = 1.4826 * max(
-            float(np.median(np.abs(left - before))), float(np.median(np.abs(right - after)))
-        )
-        scale = max(within, floor, 1e-9 * max(abs(before), abs(after), 1e-30))
-        score = abs(after - before) / scale
-        if score > _JUMP and (best is None or score > best[0]):
-            best = (score, k, before, after)
-    return None if best is None else best[1:]
-
-
-def reward_explained(arrays: Mapping[str, NDArray[Any]]) -> float | None:
+def reward_explained(
+    arrays: Mapping[str, NDArray[Any]], rewards_of: NDArray[np.int64] | None = None, shift: int = 0
+) -> float | None:
     """Share of the reward's variance that a fit by the features explains.
 
     The fit is linear in the next frame, the frame, the action, and their squares.
 
     Args:
         arrays: Of the dataset.
+        rewards_of: Steps whose rewards are fitted; by default all, or many of them.
+        shift: By how many steps later the frames and actions are that explain a reward; their
+            steps must lie in the same episode.
 
     Returns:
         At most 1, adjusted for the number of terms; None where the reward does not vary or the log
         is too short to tell.
     """
     count = len(arrays["rewards"])
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _FITTED)).astype(np.int64))
-    episode = np.searchsorted(arrays["episode_starts"], chosen, side="right") - 1
-    frames, rows = arrays["frames"], chosen + episode
-    terms = np.concatenate([frames[rows + 1], frames[rows], arrays["actions"][chosen]], axis=1)
+    chosen = _spread(np.arange(count)) if rewards_of is None else rewards_of
+    steps = chosen + shift
+    episode = np.searchsorted(arrays["episode_starts"], steps, side="right") - 1
+    frames, rows = arrays["frames"], steps + episode
+    terms = np.concatenate([frames[rows + 1], frames[rows], arrays["actions"][steps]], axis=1)
     terms = terms.astype(np.float64)
     terms = (terms - terms.mean(axis=0)) / np.maximum(terms.std(axis=0), 1e-12)
     terms = np.concatenate([terms, terms**2, np.ones((len(terms), 1))], axis=1)
     rewards = arrays["rewards"][chosen].astype(np.float64)
-    varies = rewards.var()
-    if varies == 0 or len(chosen) < 5 * terms.shape[1]:
+    if len(chosen) < 5 * terms.shape[1] or rewards.var() == 0:
         return None
     weights, *_ = np.linalg.lstsq(terms, rewards, rcond=None)
-    left = float(np.mean((rewards - terms @ weights) ** 2) / varies)
+    left = float(np.mean((rewards - terms @ weights) ** 2) / rewards.var())
     share: float = 1 - left * (len(chosen) - 1) / (len(chosen) - terms.shape[1])
     return share
 
 
+def _spread(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most so many steps as are fitted, from all over the log."""
+    chosen = np.linspace(0, len(steps) - 1, min(len(steps), _FITTED)).astype(np.int64)
+    return steps[np.unique(chosen)]
+
+
+def outcome_doubt(arrays: Mapping[str, NDArray[Any]], *, same_row: bool) -> str | None:
+    """A sentence if the reward rather belongs to the action of another row than the schema says.
+
+    The state of its own row explains a reward either way; what tells is whether the action of that
+    row and the state after it explain the rest, or the action and the state of the row before.
+
+    Args:
+        arrays: Of the dataset.
+        same_row: Whether the schema says that a reward stands in the row of its action.
+    """
+    starts = arrays["episode_starts"]
+    shift = -1 if same_row else 1
+    inner = np.ones(len(arrays["rewards"]), np.bool_)
+    inner[starts[:-1] if same_row else starts[1:] - 1] = False
+    chosen = _spread(np.flatnonzero(inner))
+    if not len(chosen):
+        return None
+    said = reward_explained(arrays, chosen)
+    other = reward_explained(arrays, chosen, shift)
+    if said is None or other is None:
+        return None
+    if other - said < _MORE or 1 - other > (1 - said) / 2:
+        return None
+    rows = ("of its own row", "of the row before it")
+    better, worse = rows if not same_row else rows[::-1]
+    return (
+        f"The action {better} explains the reward better than that {worse} ({other:.0%} of it "
+        f"against {said:.0%}, together with the states beside it): should outcome_row be "
+        f"{'after' if same_row else 'same'}?"
+    )
+
+
 def warnings_about(
-    columns: Sequence[Column], arrays: Mapping[str, NDArray[Any]], history: int, fitted: bool
+    columns: Sequence[Column],
+    arrays: Mapping[str, NDArray[Any]],
+    history: int,
+    *,
+    fitted: bool,
+    same_row: bool,
 ) -> list[str]:
     """Sentences about what looks wrong.
 
@@ -181,17 +151,13 @@ def warnings_about(
         arrays: Of the dataset.
         history: Rows that a policy sees.
         fitted: Whether the reward is a column, so that features may not explain it.
+        same_row: Whether the schema says that a reward stands in the row of its action.
     """
     said = []
     for column in columns:
-        jump = find_jump(column.values)
-        if jump is not None:
-            row, what = jump
-            said.append(
-                f"{column.place(row)}: about here {column.role} {column.name!r} seems to change "
-                f"its unit or its sensor: {what}."
-            )
+        said += jump_warning(column)
         said += _odd_action(column) if column.role == "action" else _coarse(column)
+    said += fault_warnings(columns, arrays)
     lengths = np.diff(arrays["episode_starts"])
     short = int((lengths < history).sum())
     if short:
@@ -210,6 +176,8 @@ def warnings_about(
                 f"No feature explains the reward: a fit by states, actions and their squares "
                 f"explains {max(share, 0.0):.0%} of it; is a column missing, or outcome_row wrong?"
             )
+        doubt = outcome_doubt(arrays, same_row=same_row)
+        said += [doubt] if doubt is not None else []
     return said
 
 

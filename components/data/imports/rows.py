@@ -38,6 +38,7 @@ class Rows:
         starts: `[R]` bool, an episode begins by the log's own words.
         intervals: `[R]` float32, time since the row before; NaN in the first row and without time.
         place: File and row of a row, for messages.
+        source: File of a row, for messages.
         clipped: Number of actions that rounding had put outside of their bounds.
     """
 
@@ -48,6 +49,7 @@ class Rows:
     starts: NDArray[np.bool_]
     intervals: NDArray[np.float32]
     place: Callable[[int], str]
+    source: Callable[[int], str]
     clipped: int
 
 
@@ -90,7 +92,7 @@ class Collector:
     _last_time: Any = None
     _clock: tuple[str, str] = ("", "")
     _last_episode: Any = None
-    _episodes: set[Any] = field(default_factory=set)
+    _episodes: dict[Any, str] = field(default_factory=dict)
 
     def add(self, batch: Batch) -> None:
         """Take a batch; batches come in the order of the log.
@@ -124,7 +126,8 @@ class Collector:
         if not self._count:
             raise LogError("the log has no rows; give files with rows below their headers.")
         arrays: dict[str, Any] = {name: array.whole() for name, array in self._arrays.items()}
-        return Rows(**arrays, place=_places(tuple(self._places)), clipped=self._clipped)
+        where = _Places(tuple(self._places))
+        return Rows(**arrays, place=where.place, source=where.source, clipped=self._clipped)
 
     def _actions(self, batch: Batch) -> NDArray[np.float32]:
         scaled = np.empty((batch.rows, len(self.schema.actions)), np.float32)
@@ -186,12 +189,18 @@ class Collector:
         for row in np.flatnonzero(starts):
             episode = ids[int(row)].as_py()
             if episode in self._episodes:
+                anew = self._episodes[episode] != batch.source
+                remedy = (
+                    f"it was in {self._episodes[episode]}, too; if every file numbers its episodes "
+                    "anew, leave episode out of the schema and give gaps=split, or rename them"
+                    if anew
+                    else "sort the rows, or give every episode a value of its own"
+                )
                 raise LogError(
                     f"{batch.place(int(row))}: episode {episode!r} of column "
-                    f"{self.schema.episode!r} begins again after another one; sort the rows, or "
-                    "give every episode a value of its own."
+                    f"{self.schema.episode!r} begins again after another one; {remedy}."
                 )
-            self._episodes.add(episode)
+            self._episodes[episode] = batch.source
         self._last_episode = ids[-1].as_py()
         return starts
 
@@ -237,16 +246,28 @@ def _refuse_huge(batch: Batch, name: str) -> None:
         row = int(wrong.argmax())
         raise LogError(
             f"{batch.place(row)}: {name!r} is {batch.numbers[name][row]:g}, too large to compute "
-            "with; leave it empty if it stands for a missing value."
+            "with; name it in na_values if it stands for no value."
         )
 
 
-def _places(batches: Sequence[tuple[int, str, int]]) -> Callable[[int], str]:
-    """What tells file and row of a row of the whole log."""
-    firsts = [begin for begin, _, _ in batches]
+@dataclass(frozen=True)
+class _Places:
+    """Tells file and row of a row of the whole log.
 
-    def place(row: int) -> str:
-        begin, source, first = batches[bisect_right(firsts, row) - 1]
+    Attributes:
+        batches: First row, file and row there of each batch.
+    """
+
+    batches: Sequence[tuple[int, str, int]]
+
+    def place(self, row: int) -> str:
+        """File and row."""
+        begin, source, first = self._batch(row)
         return f"{source}, row {first + row - begin}"
 
-    return place
+    def source(self, row: int) -> str:
+        """The file."""
+        return self._batch(row)[1]
+
+    def _batch(self, row: int) -> tuple[int, str, int]:
+        return self.batches[bisect_right(self.batches, row, key=lambda batch: batch[0]) - 1]

@@ -78,6 +78,7 @@ class LogSchema:
         episode_rows: Longer episodes are cut after so many rows.
         time: Column of time: numbers, or time stamps.
         sampling: Interval of the rows, in the unit of `time`; seconds for time stamps.
+        time_format: How its texts are written, as `strptime` reads them; None for ISO.
         jitter: Largest deviation from it, as a share of it.
         history: Newest rows that a policy sees.
         discount: Per step, of returns.
@@ -86,6 +87,7 @@ class LogSchema:
         delimiter: Of CSV files.
         decimal: Decimal point of CSV files.
         encoding: Of CSV files.
+        na_values: Texts and numbers that stand for no value.
 
     Raises:
         LogError: A value that cannot be, or fields that contradict each other.
@@ -104,12 +106,14 @@ class LogSchema:
     episode_rows: int | None = None
     time: str | None = None
     sampling: float | None = None
+    time_format: str | None = None
     jitter: float = 0.1
     known: Known | None = None
     controller: str = "unknown"
     delimiter: str = ","
     decimal: str = "."
     encoding: str = "utf-8"
+    na_values: tuple[str | float, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_roles()
@@ -143,6 +147,16 @@ class LogSchema:
         """All columns that are read."""
         others = (self.terminal, self.episode, self.time)
         return (*self.numbers, *(name for name in others if name))
+
+    @property
+    def na_texts(self) -> tuple[str, ...]:
+        """Texts that stand for no value."""
+        return tuple(value for value in self.na_values if isinstance(value, str))
+
+    @property
+    def na_numbers(self) -> tuple[float, ...]:
+        """Numbers that stand for no value."""
+        return tuple(float(value) for value in self.na_values if not isinstance(value, str))
 
     def _check_roles(self) -> None:
         for what, names in (("features", self.features), ("actions", self.actions)):
@@ -199,6 +213,8 @@ class LogSchema:
             raise LogError(f"discount is {self.discount:g}; give a number above 0, at most 1.")
         if self.time is not None and (self.sampling is None or not self.sampling > 0):
             raise LogError("time needs sampling, the interval of the rows; give one above 0.")
+        if self.time_format is not None and self.time is None:
+            raise LogError("time_format is given without time, the column that it is about.")
         if not 0 <= self.jitter < 0.5:
             raise LogError(f"jitter is {self.jitter:g}; give a share from 0 to below 0.5.")
         for name in ("delimiter", "decimal"):

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from components.data.imports.schema import LogError, LogSchema
+from components.data.imports.times import parse_times
 
 __all__ = ["Batch", "ParquetTable", "Table", "as_batch", "check_columns", "check_types", "times_of"]
 
@@ -129,11 +130,24 @@ def as_batch(
 ) -> Batch:
     """A batch of Arrow columns."""
     names = (*schema.numbers, *([schema.terminal] if schema.terminal else []))
-    time, clock = times_of(columns[schema.time]) if schema.time else (None, "")
+    time, clock = None, ""
+    if schema.time:
+        column = columns[schema.time]
+        if schema.time_format:
+            column = parse_times(
+                column, schema.time_format, schema.time, lambda row: f"{source}, row {first + row}"
+            )
+        time, clock = times_of(column)
+    numbers = {name: _numbers_of(columns[name]) for name in names}
+    if schema.na_numbers:
+        numbers = {
+            name: np.where(np.isin(values, schema.na_numbers), np.nan, values)
+            for name, values in numbers.items()
+        }
     return Batch(
         source=source,
         first=first,
-        numbers={name: _numbers_of(columns[name]) for name in names},
+        numbers=numbers,
         time=time,
         clock=clock,
         episode=columns[schema.episode] if schema.episode else None,
@@ -163,10 +177,12 @@ def check_types(source: str, types: Any, schema: LogSchema) -> None:
         if name == schema.episode:
             continue
         if name == schema.time:
-            if not (number or pa.types.is_timestamp(kind) or pa.types.is_date(kind)):
+            time = pa.types.is_timestamp(kind) or pa.types.is_date(kind)
+            text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
+            if not (number or time or (text and schema.time_format)):
                 raise LogError(
                     f"{source}: column {name!r} holds {kind} from row 1 on, not time; store "
-                    "it as time stamps or numbers."
+                    "it as time stamps or numbers, or give time_format in the schema."
                 )
         elif not number:
             raise LogError(

@@ -32,6 +32,13 @@ def test_refusals(words: list[str], says: str) -> None:
     assert str(refused.value) == says
 
 
+@pytest.mark.parametrize("rest", ["bad-0.4]", "bad-0.4,", "[a,b]", "{a:1}"])
+@pytest.mark.parametrize("switches", [(), ("watch",)])
+def test_a_list_that_the_shell_has_split_is_seen_as_one(rest: str, switches: tuple) -> None:
+    with pytest.raises(SettingsError, match=r"without spaces inside \[ \]"):
+        fields_of_words(["datasets=[tank,", rest], switches=switches)
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from components.data.imports.quality import find_jump, reward_explained
+from components.data.imports.jumps import find_jump
+from components.data.imports.quality import reward_explained
 
 
 def noise(rows: int = 5000, seed: int = 0) -> np.ndarray:
@@ -23,9 +24,9 @@ def test_a_change_of_units_is_found_where_it_happens(change, said: str) -> None:
     values = noise() if said == "spread" and change(0.0) == 0 else noise() + 20
     later = noise(seed=1)
     values[3000:] = change(later)[3000:]
-    row, sentence = find_jump(values)
-    assert said in sentence
-    assert abs(row - 3000) <= 2 * len(values) / 48  # a part of the log
+    jump = find_jump(values)
+    assert jump.kind == said
+    assert abs(jump.row - 3000) <= 2 * len(values) / 48  # a part of the log
 
 
 def test_noise_drifts_seasons_and_single_outliers_are_no_change_of_units() -> None:
