@@ -9,13 +9,17 @@ import numpy.typing as npt
 import pandas as pd
 from torch import Tensor
 
-__all__ = ["checked_frames", "warn_of_strangers"]
+__all__ = ["FarFromLogWarning", "checked_frames", "warn_of_strangers"]
 
 _FAR: Final = 20.0
 """Standard deviations from a log's mean beyond which a value is hardly in the log's units: sensors
 with rare peaks stay within some ten, kelvin for degrees is a hundred."""
 
 Frames = npt.NDArray[np.float32]
+
+
+class FarFromLogWarning(UserWarning):
+    """A value that can hardly be one of the log's."""
 
 
 def checked_frames(
@@ -80,5 +84,6 @@ def warn_of_strangers(frames: Frames, features: Sequence[str], mean: Tensor, sca
             f"{name} is {frames[worst]:g}, {far[worst]:.0f} standard deviations from its mean "
             f"of {usual:g} in the log: are the values in the log's units and order? The policy "
             "knows nothing of such states.",
+            FarFromLogWarning,
             stacklevel=3,
         )

@@ -1,5 +1,6 @@
 """A policy at work in the real system, step by step, and a slider that turns its proximity."""
 
+import warnings
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from components.environments.systems import SYSTEMS, make_batch
 from components.operating.operable import Operable, newest
 from components.operating.scene import Scene
 from components.operating.session import Session
+from proximity_bench.histories import FarFromLogWarning
 from proximity_bench.policies import Policy
 
 if TYPE_CHECKING:  # an extra: only those who work with notebooks have it
@@ -51,7 +53,10 @@ def trajectory(
     rows = []
     for _ in range(steps):
         oldest_first = history.window[0, ::-1]
-        action = policy.act(oldest_first, proximity, scaled=True, noise=candidates)
+        with warnings.catch_warnings():
+            # A system speaks in the log's units; that a policy leads it astray is what is looked at.
+            warnings.simplefilter("ignore", FarFromLogWarning)
+            action = policy.act(oldest_first, proximity, scaled=True, noise=candidates)
         frames, rewards = system.step(action[None])
         history.push(frames)
         rows.append([*frames[0], *action, rewards[0]])

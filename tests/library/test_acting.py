@@ -17,6 +17,7 @@ from components.core.normaliser import Normaliser
 from components.policies.policy import Policy as StoredPolicy
 from components.policies.policy import PolicyCard
 from components.policies.portable_files import FORMATS
+from proximity_bench.histories import FarFromLogWarning
 from tests.components.robot import make_robot_log
 from tests.components.synthetic import FEATURES, make_log
 
@@ -144,7 +145,7 @@ def test_rows_of_a_table_are_called_by_their_labels_and_one_may_be_given_alone()
 def test_values_in_another_unit_or_order_are_warned_of(shape: str) -> None:
     policy, strange = made("bc"), FRAMES.copy()
     strange[5, 4] = 1e4
-    with pytest.warns(UserWarning, match=r"fatigue is 10000, \d+ standard deviations from"):
+    with pytest.warns(FarFromLogWarning, match=r"fatigue is 10000, \d+ standard deviations from"):
         policy.act(strange if shape == "one" else np.stack([FRAMES, strange]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
