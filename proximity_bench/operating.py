@@ -54,7 +54,7 @@ def trajectory(
     for _ in range(steps):
         oldest_first = history.window[0, ::-1]
         with warnings.catch_warnings():
-            # A system speaks in the log's units; that a policy leads it astray is what is looked at.
+            # A system speaks in the log's units; where a policy leads it is what is looked at.
             warnings.simplefilter("ignore", FarFromLogWarning)
             action = policy.act(oldest_first, proximity, scaled=True, noise=candidates)
         frames, rewards = system.step(action[None])
