@@ -78,9 +78,6 @@ _SHOWN = {
     "thesis_tri_rank": "thesis   ",
 }
 """Columns of the table that is printed. Headings differ by blanks, which Markdown does not show."""
-_RANKS = (
-    "Ranks count from 1, the least; the thesis's table 4.1 and ranking.csv count them from 0.\n"
-)
 _DIGITS = {"return_mean": 1, "return_max": 1, "eri": 3, "eas": 3, "tri": 3}
 
 
@@ -145,7 +142,9 @@ def _written(
     table, clips = ranking_table(logs, algorithm), clip_table(logs)
     parts = [_shown(table)]
     if len(table) > 1:
-        parts.append(_RANKS)
+        theirs = "" if table.filter(like="thesis_").isna().all(axis=None) else "the thesis and "
+        verb = "count" if theirs else "counts"
+        parts.append(f"Ranks count from 1, the least; {theirs}ranking.csv {verb} from 0.\n")
     if algorithm:
         parts.append(f"TRI is the improvement by {algorithm}, in the sweep {results.sweep}.\n")
     correlations = correlation_table(logs)

@@ -100,7 +100,7 @@ def settings_of_its_own(patch: pytest.MonkeyPatch) -> Iterator[None]:
 def stop_after_parsing(patch: pytest.MonkeyPatch) -> None:
     """Let commands end with 0 once their words are understood."""
 
-    def door(name: str, help_text: str, load: Any, body: Any) -> NoReturn:
+    def door(name: str, help_text: str, load: Any, body: Any, **more: Any) -> NoReturn:
         load(sys.argv[1:])
         sys.exit(0)
 
