@@ -56,6 +56,7 @@ def test_variants_are_rows_of_the_table_and_stay_out_of_the_figure(
             finish(store, node, {"summary.json": summary | {"points": points}})
 
     class Card:
+        trajectories = 10
         name, environment = "mediocre-0.2", INDUSTRIAL_BENCHMARK_ID
         first_window_return_mean, all_windows_return_mean = -2.0, -3.0
         return_steps, discount = 100, 0.97
@@ -96,6 +97,7 @@ def test_the_report_says_how_to_watch_the_policies_of_a_robot(
             finish(store, node, {})
 
     class Card:
+        trajectories = 10
         name, first_window_return_mean, environment = "mediocre-0.2", 2.0, INDUSTRIAL_BENCHMARK_ID
         return_steps, discount = 100, 0.97
 
@@ -170,7 +172,7 @@ def test_a_note_says_if_cells_come_from_different_software(tmp_path: Path) -> No
 
 def test_the_report_shows_the_note_on_software() -> None:
     written = report.Report(
-        [], pd.DataFrame(), EMPTY, [], [], ["The cells come from different software."]
+        [], pd.DataFrame(), EMPTY, [], {}, ["The cells come from different software."]
     )
     assert written.lines(100) == ["Note: The cells come from different software."]
 
@@ -195,7 +197,7 @@ def test_the_headline_is_the_best_proximity_s_and_all_are_a_curve_over_its_perce
         summary("lion", (0.0, -9.0), (0.55, -7.0), (1.0, -8.0)),
         summary("bc", (None, -6.0)),
     ]
-    assert report.Report([], pd.DataFrame(), EMPTY, summaries, []).headline == {
+    assert report.Report([], pd.DataFrame(), EMPTY, summaries, {}).headline == {
         "tenth_percentile/bad-0.4/lion": [(0, -7.0)],
         "over_proximity/bad-0.4/lion": [(0, -9.0), (55, -7.0), (100, -8.0)],
         "tenth_percentile/bad-0.4/bc": [(0, -6.0)],
@@ -217,7 +219,7 @@ def test_lost_graphs_are_noted_under_the_table(tmp_path: Path) -> None:
         "Trained without CUDA graphs, which may take ten times as long: "
         f"{', '.join(node.name for node in policies[:3])} and 1 more (updates: no room)."
     )
-    written = report.Report([], pd.DataFrame(), EMPTY, [], [], graphs=[note])
+    written = report.Report([], pd.DataFrame(), EMPTY, [], {}, graphs=[note])
     assert written.lines(100) == [f"Note: {note}"]
 
 
