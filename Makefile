@@ -32,15 +32,18 @@ define install
   { echo "Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11."; exit 1; }
 $(PYTHON) -m venv $(VENV)
 $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile \
-  --constraint constraints.txt --editable $(1)
+  --constraint constraints.txt --editable '$(PROJECT)'
 @touch $@
 endef
 
+# A variable and no argument of `call`, which would be cut at the comma.
+$(READY): PROJECT := .
 $(READY): pyproject.toml constraints.txt
-	$(call install,.)
+	$(install)
 
+$(TOOLS): PROJECT := .[dev,export]
 $(TOOLS): pyproject.toml constraints.txt
-	$(call install,'.[dev,export]')
+	$(install)
 	@touch $(READY)
 
 setup: $(TOOLS) ## Make .venv with all that is needed, also for tests and exports

@@ -10,6 +10,7 @@ import re
 import runpy
 import shlex
 import shutil
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -238,3 +239,25 @@ def test_commands_in_sentences_exist() -> None:
         for module in set(modules) - {"flows.NAME"}:
             path = ROOT.joinpath(*module.split("."))
             assert path.with_suffix(".py").is_file() or path.is_dir(), f"{page.name}: {module}"
+
+
+def lines_of_target(target: str) -> str:
+    """What ``make`` would give to the shell for a target on a fresh machine."""
+    command = ["make", "--no-print-directory", "--dry-run", "--always-make", target]
+    return subprocess.run(command, cwd=ROOT, text=True, check=True, capture_output=True).stdout
+
+
+@pytest.mark.parametrize("target", sorted(TARGETS))
+def test_the_shell_understands_every_target(target: str) -> None:
+    lines = lines_of_target(target)
+    assert lines
+    read = subprocess.run(["sh", "-n"], input=lines, text=True, check=False, capture_output=True)
+    assert read.stderr == ""
+
+
+def test_targets_install_extras_that_exist() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for target, extras in (("console", set()), ("setup", {"dev", "export"})):
+        [installed] = re.findall(r"--editable (\S+)", lines_of_target(target))
+        assert extras_of(installed) == extras
+        assert extras <= set(project["optional-dependencies"])
