@@ -12,6 +12,9 @@ SHIPPED := components/operating/shipped
 export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= PASSIVE
 
+# Installed modules are compiled when first imported (see below), which has to be kept.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Two processes share the tests (tests/conftest.py says which stay together); the longest start first.
 # A process that dies fails the run: started again, it would meet the same test for ever.
 TEST_WORKERS ?= 2

@@ -102,6 +102,9 @@ def test_a_driver_that_is_asked_to_stop_does_so_at_a_checkpoint(
     with driver(store, log, kind) as process:
         assert ask(store) == 0
         assert f"Continue with: {COMMAND}" in capsys.readouterr().out
+        if kind == "ray":  # the driver is another process, and may be slower than eight short steps
+            asked = (store.root / "progress").glob
+            wait_for(lambda: list(asked("*.pause")), "the driver to ask its workers")
         (log / "go").touch()
         _, messages = process.communicate(timeout=120)
         assert process.returncode == STOPPED, messages
