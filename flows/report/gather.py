@@ -159,6 +159,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
                 level=logs[summary["dataset"]].level,
                 configurations=[run.key for run in _training(node)],
                 hardware=[str(run.record.get("hardware", "")) for run in _training(node)],
+                commits=[str(run.record.get("commit", "")) for run in _training(node)],
             )
         )
         summaries.append(summary)
