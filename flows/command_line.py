@@ -21,6 +21,7 @@ from flows.pipeline.executors.executor import Executor
 from flows.pipeline.executors.processors import available_cpus, check_threads
 from flows.pipeline.executors.ray import RayExecutor
 from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.failures import failure_line
 from flows.pipeline.leftovers import store_in_use
 from flows.pipeline.limits import Limit
 from flows.pipeline.plan import Plan
@@ -297,8 +298,7 @@ def window_width() -> int:
 def _name_missing(display: Display, plan: Plan, outcome: Outcome) -> None:
     """List what is missing and why."""
     for key, reason in outcome.failed.items():
-        lines = reason.strip().splitlines() or ["no reason given"]
-        display.note(f"missing {plan[key].name}: {lines[-1]}")
+        display.note(f"missing {plan[key].name}: {failure_line(reason)}")
     for key, because in outcome.skipped.items():
         display.note(f"missing {plan[key].name}: needs {plan[because].name}, which failed")
     if outcome.unrecorded:

@@ -56,6 +56,7 @@ class Cell:
         level: Mean return of the logged behaviour; None if it is counted otherwise.
         configurations: ``[R]`` digests of all that decides a seed's training: the keys of its runs.
         hardware: ``[R]`` what trained them.
+        commits: ``[R]`` of the code that trained them.
     """
 
     dataset: str
@@ -70,6 +71,7 @@ class Cell:
     level: float | None = None
     configurations: Sequence[str] = ()
     hardware: Sequence[str] = ()
+    commits: Sequence[str] = ()
 
     @property
     def adapts(self) -> bool:

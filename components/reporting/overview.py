@@ -25,6 +25,10 @@ _BEST_LEGEND: Final = (
     "best λ: the best of those that were evaluated, seen in hindsight; fixed policies have no such "
     "choice."
 )
+_UNLOGGED_LEGEND: Final = (
+    "Nothing under logged: the returns of the log are over another number of steps than those of "
+    "the policies, or discounted otherwise."
+)
 _SPREAD_LEGEND: Final = (
     "Spread: the long form has the thesis's standard error, 1.7 sd / √N over N policies, of which "
     "those of one seed resemble each other, and a 95 % interval that draws whole seeds instead."
@@ -110,7 +114,9 @@ class Overview:
         best = [_BEST_LEGEND] if any(column.point == "best" for column in self.columns) else []
         used = {value.thesis.marks for value in self.cells.values() if value.thesis}
         marked = [f"{m} {text}" for m, text in self.footnotes.items() if any(m in u for u in used)]
-        return [*best, *marked]
+        rows = {dataset for dataset, _ in self.cells}
+        unlogged = [_UNLOGGED_LEGEND] if any(self.logged[name] is None for name in rows) else []
+        return [*unlogged, *best, *marked]
 
     def notes(self) -> list[str]:
         """What all of it means, for readers of the table alone."""

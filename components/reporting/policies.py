@@ -17,8 +17,8 @@ def policy_table(evidence: Evidence) -> pd.DataFrame:
     Returns:
         `dataset`, `algorithm`, `seed`, `updates` at the snapshot, `proximity` (NaN where the policy
         takes none), `return`, the return `logged` (NaN where that is counted otherwise),
-        whether the policy is `pooled`, the digest of its `configuration` and the `hardware` that
-        trained it (both empty if unknown).
+        whether the policy is `pooled`, the digest of its `configuration`, the `hardware` that
+        trained it and the `commit` of the code that did (empty if unknown).
     """
     return pd.concat([_rows(cell) for cell in evidence.cells.values()], ignore_index=True)
 
@@ -38,6 +38,7 @@ def _rows(cell: Cell) -> pd.DataFrame:
             "pooled": snapshot >= snapshots - cell.pooled,
             "configuration": _of_seeds(cell.configurations, seed),
             "hardware": _of_seeds(cell.hardware, seed),
+            "commit": _of_seeds(cell.commits, seed),
         }
     )
 

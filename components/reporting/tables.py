@@ -1,18 +1,19 @@
 """The result table: one row per dataset, algorithm and proximity, beside the thesis's numbers.
 
 A statistic that is not a number (a policy diverged) reads ``nan`` in the CSV file. An empty cell
-means that there is no such number: the policy takes no proximity, or the thesis has no result. No
-column has both, so NaN has one meaning in each column.
+means that there is no such number: the policy takes no proximity, or the thesis has no result, or
+none that is counted likewise. No column has both, so NaN has one meaning in each column.
 """
 
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import pandas as pd
 
-from components.reporting.thesis_numbers import thesis_numbers
+from components.reporting.thesis_numbers import Thesis
 
 __all__ = [
     "COLUMNS",
@@ -45,20 +46,24 @@ _FORMER: Final = COLUMNS[: -len(_INTERVAL)]
 """Columns of older files, which have no intervals."""
 
 
-def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+def result_table(
+    summaries: Iterable[Mapping[str, Any]],
+    thesis: Mapping[tuple[str, str], Thesis] = MappingProxyType({}),
+) -> pd.DataFrame:
     """One row per point of every summary, with all ``COLUMNS``.
 
     Args:
         summaries: As aggregation stores them: each with ``dataset``, ``algorithm``, ``seeds`` and
             ``points``, a list of statistics with ``lambda`` (None for fixed policies) and, where
             it is known, the interval of the 10th percentile.
+        thesis: (dataset, algorithm) -> the thesis's value; only those that are comparable.
 
     Returns:
         The table; NaN where there is no proximity, no number of the thesis or no interval.
     """
     rows = []
     for summary in summaries:
-        thesis = thesis_numbers().get((summary["dataset"], summary["algorithm"]), (None, None))
+        printed = thesis.get((summary["dataset"], summary["algorithm"]))
         for point in summary["points"]:
             rows.append(
                 {
@@ -68,8 +73,8 @@ def result_table(summaries: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
                     "seeds": len(summary["seeds"]),
                     "policies": point["policies"],
                     **{name: point[name] for name in _STATISTICS},
-                    "thesis_tenth_percentile": thesis[0],
-                    "thesis_standard_error": thesis[1],
+                    "thesis_tenth_percentile": printed.value if printed else None,
+                    "thesis_standard_error": printed.error if printed else None,
                     **{name: point.get(name) for name in _INTERVAL},
                 }
             )

@@ -8,8 +8,9 @@ A node is stale if an input that it read has other files now: then it is made ag
 downwards. An input that was made again to the same bytes changes nothing.
 """
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from components.core.integrity import DamagedFileError
@@ -31,6 +32,7 @@ class Audit:
         stale: Which of these are sound, but made from another input than there is now.
         places: Inode of the folder of every node that is there, which names it for good.
         unsealed: How many of the finished ones carry no digests, coming from an older version.
+        other_code: How many of them were made by other code of the same version, by what it is.
     """
 
     finished: frozenset[str]
@@ -38,6 +40,7 @@ class Audit:
     stale: frozenset[str]
     places: Mapping[str, int]
     unsealed: int
+    other_code: Mapping[str, int] = field(default_factory=dict)
 
     def refuse(self) -> None:
         """Stops here if anything is unusable.
@@ -95,7 +98,8 @@ class _Audit:
         self._read_what_is_needed()
         unsealed = sum(not is_sealed(record) for record in self.records.values())
         finished, stale = frozenset(self.records), frozenset(self.stale)
-        return Audit(finished, self.unusable, stale, self.places, unsealed)
+        other = self._other_code()
+        return Audit(finished, self.unusable, stale, self.places, unsealed, other)
 
     def _look(self, node: Node, *, large: bool) -> None:
         try:
@@ -129,6 +133,19 @@ class _Audit:
                 self._reject(node, said)
                 self.stale.add(node.key)
                 return
+
+    def _other_code(self) -> Counter[str]:
+        """Counts finished nodes whose records tell another code than the plan's nodes have.
+
+        Digests by another Python's parser cannot be compared, and older records tell none.
+        """
+        found: Counter[str] = Counter()
+        for node in self.plan:
+            was = str(self.records.get(node.key, {}).get("code", ""))
+            if was != node.code and was.partition(":")[0] == node.code.partition(":")[0]:
+                kind = node.tags.get("model") or node.tags.get("algorithm") or node.name
+                found[f"{node.component} of {kind}"] += 1
+        return found
 
     def _read_what_is_needed(self) -> None:
         """Reads results and inputs of pending nodes; a damaged one is pending itself, and so on."""

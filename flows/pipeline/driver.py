@@ -21,6 +21,7 @@ from typing import Any
 
 from components.core.files import read_json, write_json, write_text
 from flows.pipeline.errors import PipelineError
+from flows.pipeline.failures import failure_line
 from flows.pipeline.locks import Lock
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.store import ArtifactStore
@@ -140,7 +141,7 @@ class Driver:
             slots=slots,
             device=device,
             running=dict(running),
-            failed={key: _last_line(reason) for key, reason in outcome.failed.items()},
+            failed={key: failure_line(reason) for key, reason in outcome.failed.items()},
             skipped=dict(outcome.skipped),
             stopping=stopping,
         )
@@ -278,10 +279,6 @@ def _is_held(path: Path) -> bool | None:
         return None
     finally:
         os.close(handle)
-
-
-def _last_line(reason: str) -> str:
-    return (reason.strip() or "no reason given").splitlines()[-1]
 
 
 def _path(root: Path, name: str) -> Path:

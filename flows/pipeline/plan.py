@@ -49,6 +49,9 @@ class Node:
         tags: Dataset, algorithm, seed; trackers find nodes by them. Not in the key.
         lanes: Pending nodes with the same non-empty value are computed in one task call.
         cost: Rough core-seconds, for the order of work and the estimate.
+        code: Digest of the code that is this node's alone, such as an algorithm's module; empty if
+            it is not told. Not in the key, which has `version`: a finished node of other code is
+            used, and that is said.
     """
 
     component: str
@@ -61,6 +64,7 @@ class Node:
     tags: Mapping[str, str] = field(default_factory=dict)
     lanes: str = ""
     cost: float = 1.0
+    code: str = ""
 
     def __post_init__(self) -> None:
         if self.task.count(":") != 1:

@@ -110,6 +110,12 @@ class Display:
                 f"{found.unsealed} finished artifacts carry no digests and cannot be checked; "
                 "`python -m flows.verify --seal` records them."
             )
+        if found.other_code:
+            kinds = ", ".join(f"{kind} ({count})" for kind, count in found.other_code.items())
+            self.note(
+                f"Made by other code of the same version, and used all the same: {kinds}. If the "
+                "change can change results, raise the version in the code: they are made again."
+            )
         return total
 
     def start(self, run_state: RunState) -> None:

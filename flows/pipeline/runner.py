@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from flows.pipeline.audit import Audit, audit
 from flows.pipeline.driver import Driver
 from flows.pipeline.executors.executor import Executor
-from flows.pipeline.failures import REPAIR_REMEDY
+from flows.pipeline.failures import REPAIR_REMEDY, failure_line
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -291,7 +291,7 @@ class _Run:
 
     def _fail(self, key: str, reason: str) -> None:
         self.outcome.failed[key] = reason
-        last = (reason.strip() or "no reason given").splitlines()[-1]
+        last = failure_line(reason)
         self.display.note(f"{self.plan[key].component} {self.plan[key].name} failed: {last}")
         for node in self.plan.downstream(key):
             self._skip(node, key)

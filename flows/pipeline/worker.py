@@ -22,6 +22,7 @@ from flows.pipeline.computer import (
 from flows.pipeline.costs import RULES
 from flows.pipeline.failures import failure_reason, ran_out_of_memory
 from flows.pipeline.plan import Node
+from flows.pipeline.source import commit
 from flows.pipeline.store import ArtifactStore, Work
 from flows.pipeline.task import (
     FAILURE_FILE,
@@ -87,6 +88,7 @@ class GroupCall:
                 "folders": dict(node.folders),
                 "tags": dict(node.tags),
                 "cost": node.cost,
+                "code": node.code,
             }
             for node in nodes
         )
@@ -320,11 +322,12 @@ def _describe(
     """Write the record of an artifact; `content` digests what was read, by role."""
     wall = usage["wall_seconds"]
     described = {name: node[name] for name in ("key", "name", "component", "version", "config")}
-    described |= {name: node[name] for name in ("inputs", "cost")}
+    described |= {name: node[name] for name in ("inputs", "cost", "code")}
     further = load_json(out / "tags.json") if (out / "tags.json").exists() else {}
     described |= {"tags": {**further, **node["tags"]}}
     described |= {"content": dict(content)} | dict(usage)
     described |= {"share": share, "seconds": wall * share}
     described |= {"hardware": hardware(usage["device"]), "package": code_version()}
+    described |= {"commit": commit()}
     described |= {"software": software(usage["device"])}
     seal(out, described)

@@ -14,6 +14,7 @@ from components.models import MODELS
 from flows.configuration.checking import SettingsError
 from flows.configuration.schema import Settings
 from flows.pipeline.plan import Node, digest
+from flows.pipeline.source import code_digest
 from flows.planning.costs import data_cost, data_sizes, evaluation_cost
 from flows.planning.packing import evaluated_together, trained_together
 
@@ -141,6 +142,7 @@ def model_node(
         inputs={"dataset": data},
         tags={"dataset": dataset, "model": name} | ({} if shared else {"seed": str(seed)}),
         cost=MODELS[name].cost(model, sizes),
+        code=code_digest([type(model).__module__, MODELS[name].fit.__module__]),
     )
 
 
@@ -174,6 +176,7 @@ def policy_node(
         tags={"dataset": dataset, "algorithm": algorithm.name, "seed": str(seed), **variant.tags},
         lanes=trained_together(settings, f"train/{algorithm.name}/{kind}", dataset, seed),
         cost=algorithm.cost(config, data_sizes(source)),
+        code=code_digest([type(config).__module__, algorithm.learner.__module__]),
     )
 
 

@@ -86,7 +86,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
     for mark, text in (f for part in parts for f in part.comparison.footnotes.items()):
         if text not in footnotes.setdefault(mark, text):
             footnotes[mark] += f" And {text}"
-    table = result_table(s for part in parts for s in part.summaries)
+    table = result_table((s for part in parts for s in part.summaries), thesis)
     gaps = [gap for part in parts for gap in part.gaps]
     logged = {name: log.level for name, log in logs.items()}
     levels = {(c.dataset, c.algorithm): c.level for part in parts for c in part.cells}
@@ -159,6 +159,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
                 level=logs[summary["dataset"]].level,
                 configurations=[run.key for run in _training(node)],
                 hardware=[str(run.record.get("hardware", "")) for run in _training(node)],
+                commits=[str(run.record.get("commit", "")) for run in _training(node)],
             )
         )
         summaries.append(summary)

@@ -148,7 +148,8 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
     for node in generations:
         store.check(node.key, (_CARD,))
     cards = [DatasetCard.load(store.path(node.key) / _CARD) for node in generations]
-    table, comparison = result_table(summaries), compare(aggregations)
+    comparison = compare(aggregations)
+    table = result_table(summaries, comparison.thesis)
     logged = {card.name: comparable_behaviour(card, aggregations) for card in cards}
     files = [folder / "results.csv", folder / "results.md"]
     files += _write_figures(folder, logged, _drawn(aggregations, summaries), about)

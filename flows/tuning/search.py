@@ -16,6 +16,7 @@ from optuna.trial import Trial, TrialState
 from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
+from flows.pipeline.failures import failure_line
 from flows.pipeline.locks import locked
 from flows.pipeline.outcome import STOPPED
 from flows.pipeline.plan import Node, digest
@@ -301,7 +302,7 @@ class _Search:
 
     def _failed(self, study: Study, trial: Trial, reason: str) -> None:
         study.fail(trial, reason)
-        last = (reason.strip() or "no reason given").splitlines()[-1]
+        last = failure_line(reason)
         self._ended(study, trial, f"failed: {last}")
 
     def _ended(self, study: Study, trial: Trial, what: str) -> None:

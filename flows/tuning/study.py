@@ -26,6 +26,7 @@ from optuna.storages.journal import JournalStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from flows.pipeline.errors import PipelineError
+from flows.pipeline.failures import failure_line
 from flows.pipeline.plan import Node, digest
 from flows.tuning import space as spaces
 from flows.tuning.journal import open_journal
@@ -246,7 +247,7 @@ class Study:
 
     def fail(self, trial: Trial, reason: str) -> None:
         """End a trial that could not be evaluated, for a reason of its own."""
-        last = (reason.strip() or "no reason given").splitlines()[-1]
+        last = failure_line(reason)
         trial.set_user_attr("error", last)
         self._study.tell(trial, state=TrialState.FAIL)
 

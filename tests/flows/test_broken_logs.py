@@ -412,7 +412,9 @@ def test_minari_datasets_that_are_not_flat(root: Path) -> None:
         sentence = refused(project, "minari:other/toy-v0")
         assert_says(sentence, rf"^minari:other/toy-v0: {said}; only flat boxes can be imported\.$")
         shutil.rmtree(root)
-    assert_says(refused(project, "minari:other/toy-v0"), "there is no such dataset below")
+    for words in ((), ("--describe", "schema=draft.yaml")):
+        sentence = refused(project, "minari:other/toy-v0", *words)
+        assert_says(sentence, "^minari:other/toy-v0: there is no such dataset below")
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

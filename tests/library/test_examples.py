@@ -5,7 +5,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
+import pandas as pd
 import pytest
 
 import proximity_bench as pb
@@ -49,3 +51,35 @@ def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert 0 <= air <= 50
     scaled = names["policy"].act(names["rows"].tail(10), proximity=0.3, scaled=True)
     np.testing.assert_allclose([gas, air], (scaled + 1) / 2 * [100, 50])
+
+
+def test_an_imported_logs_policy_acts_in_an_environment_of_gymnasiums() -> None:
+    """The page's loop, in Pendulum, whose torque its log has in its own units."""
+    page = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+    [code] = re.findall(r"```python\n(def mean_return.*?)\n\n\nmean_return\(", page, re.DOTALL)
+    names: dict[str, Any] = {"np": np}
+    exec(code, names)
+    pendulum = gymnasium.make("Pendulum-v1")
+    rows = []
+    for episode in range(2):
+        pendulum.action_space.seed(episode)
+        frame, _ = pendulum.reset(seed=episode)
+        for _ in range(30):
+            action = pendulum.action_space.sample()
+            after, reward, *_ = pendulum.step(action)
+            rows.append([*frame, *action, reward, episode])
+            frame = after
+    table = pd.DataFrame(rows, columns=["x", "y", "speed", "torque", "reward", "run"])
+    schema = {
+        "features": ["x", "y", "speed"],
+        "actions": {"torque": [-2, 2]},
+        "reward": "reward",
+        "outcome_row": "same",
+        "episode": "run",
+        "history": 3,
+        "discount": 0.97,
+    }
+    log = pb.dataset(table, schema=schema, name="pendulum")
+    policy = pb.train(log, "bc", updates=3, hidden=[8], progress=False)
+    found = names["mean_return"](policy, pendulum, episodes=2)
+    assert -200 * 17 < found < 0  # of 200 steps, each at least -16.3

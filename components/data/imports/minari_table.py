@@ -57,8 +57,9 @@ class MinariTable:
 
     @cached_property
     def _dataset(self) -> Any:
+        folder = self.folder  # what is missing is not damaged
         try:
-            return minari.MinariDataset(self.folder)
+            return minari.MinariDataset(folder)
         except Exception as error:  # Minari and HDF5 raise whatever they stumble over
             raise LogError(f"{self.name} is damaged ({error}); download it again.") from error
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from components.core.version import TRAVELLING, code_version
+from flows.pipeline.source import COMMIT, commit
 
 __all__ = ["PACKAGES", "code_environment"]
 
@@ -30,5 +31,5 @@ def code_environment(packages: Sequence[str] = PACKAGES) -> dict[str, Any]:
     return {
         "working_dir": str(root),
         "excludes": left_out,
-        "env_vars": {TRAVELLING: code_version()},
+        "env_vars": {TRAVELLING: code_version(), COMMIT: commit()},
     }

@@ -4,11 +4,10 @@ import getpass
 import logging
 import os
 import sqlite3
-import subprocess
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
+from flows.pipeline.source import commit
 from flows.pipeline.tracking.mlflow_address import StoreAddress, sqlite_address
 
 __all__ = [
@@ -104,16 +103,6 @@ def source_tags() -> dict[str, str]:
         tags["mlflow.user"] = getpass.getuser()
     except (KeyError, OSError):
         tags["mlflow.user"] = "unknown"
-    try:
-        commit = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=True,
-        ).stdout.strip()
-        tags["mlflow.source.git.commit"] = commit
-    except (OSError, subprocess.SubprocessError):
-        pass
+    if found := commit():
+        tags["mlflow.source.git.commit"] = found
     return tags

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from components.core.sealed import content_digest, read_record
+from flows.pipeline.failures import failure_line
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.tracking.board import Entry, View
 from flows.pipeline.tracking.mlflow_board import MlflowBoard
@@ -151,7 +152,7 @@ class MlflowTracker:
         Raises:
             TrackingError: MLflow cannot be used.
         """
-        last = (reason.strip() or "no reason given").splitlines()[-1]
+        last = failure_line(reason)
         tags = self._tags(node) | {self._mark: "failed", "error": last[:_TAG_LENGTH]}
         with self.experiment.writing():
             self.experiment.write_run(

@@ -46,6 +46,14 @@ def test_only_footnotes_in_use_are_shown() -> None:
     assert not any("best λ" in note for note in made(TD3_BC).notes())
 
 
+def test_a_note_says_why_nothing_stands_under_logged() -> None:
+    def said(table: Overview) -> bool:
+        return any(note.startswith("Nothing under logged") for note in table.notes())
+
+    assert said(made())  # bad-0.4's returns are counted otherwise
+    assert not said(made(TD3_BC, LION))
+
+
 def test_the_text_is_aligned_and_names_what_it_shows() -> None:
     assert text_overview(made(), 200) == (
         "dataset       logged      td3_bc    lion     lion    lion       bc\n"

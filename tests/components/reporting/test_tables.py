@@ -17,7 +17,7 @@ from components.reporting.tables import (
     undefined_notes,
     with_undefined,
 )
-from components.reporting.thesis_numbers import thesis_numbers
+from components.reporting.thesis_numbers import Thesis, thesis_numbers
 from tests.components.reporting.summaries import LION, TD3_BC, point
 
 CONF = Path(__file__).parents[3] / "conf" / "dataset"
@@ -46,6 +46,9 @@ def test_columns_are_the_promised_ones() -> None:
     assert list(result_table([])) == PROMISED
 
 
+PRINTED = {("mediocre-0.2", "td3_bc"): Thesis(-77.7, 0.1)}
+
+
 def test_thesis_numbers_are_joined() -> None:
     numbers = thesis_numbers()
     assert numbers["mediocre-0.2", "td3_bc"] == (-77.7, 0.1)
@@ -53,20 +56,22 @@ def test_thesis_numbers_are_joined() -> None:
     assert sum(algorithm == "td3_bc" for _, algorithm in numbers) >= 19
     missing = [path.stem for path in CONF.glob("*.yaml") if (path.stem, "td3_bc") not in numbers]
     assert missing == ["world"]  # a sanity check, which the tables of the thesis do not have
-    [row] = result_table([TD3_BC]).to_dict("records")
+    [alone] = result_table([TD3_BC]).to_dict("records")
+    assert math.isnan(alone["thesis_tenth_percentile"]), "none that is counted likewise"
+    [row] = result_table([TD3_BC], PRINTED).to_dict("records")
     assert (row["thesis_tenth_percentile"], row["thesis_standard_error"]) == (-77.7, 0.1)
     assert (row["seeds"], row["policies"]) == (5, 10)
 
 
 def test_rows_follow_the_points() -> None:
-    table = result_table([TD3_BC, LION])
+    table = result_table([TD3_BC, LION], PRINTED)
     assert table["proximity"].fillna(-1).tolist() == [-1, 0.0, 0.5, 1.0]
     assert table["mean"].tolist() == [-77.0, -90.0, -70.0, -80.0]
     assert table["thesis_tenth_percentile"].isna().tolist() == [False, True, True, True]
 
 
 def test_csv_reads_back_in_full_precision() -> None:
-    text = results_csv(result_table([TD3_BC, LION]))
+    text = results_csv(result_table([TD3_BC, LION], PRINTED))
     assert text.splitlines()[0] == ",".join(PROMISED)
     assert text.splitlines()[1].startswith("mediocre-0.2,td3_bc,,5,10,")
     frame = pandas.read_csv(io.StringIO(text))
@@ -79,7 +84,7 @@ def test_csv_reads_back_in_full_precision() -> None:
 
 def test_a_figure_that_is_not_finite_is_shown() -> None:
     bad = point(None) | {"mean": math.nan, "tenth_percentile": math.nan}
-    table = result_table([TD3_BC | {"points": [bad, bad | {"mean": -math.inf}]}])
+    table = result_table([TD3_BC | {"points": [bad, bad | {"mean": -math.inf}]}], PRINTED)
     first, second = results_csv(table).splitlines()[1:]
     # what is not a number differs from what is not there
     assert first == "mediocre-0.2,td3_bc,,5,10,nan,0.25,nan,1.5,-69.875,-77.7,0.1,,"
@@ -156,7 +161,7 @@ def test_a_table_with_other_columns_is_refused(tmp_path: Path) -> None:
 
 
 def test_markdown() -> None:
-    lines = markdown_table(result_table([TD3_BC, LION])).splitlines()
+    lines = markdown_table(result_table([TD3_BC, LION], PRINTED)).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert cells[0] == PROMISED
     assert all(set(cell) <= set("-:") for cell in cells[1])

@@ -60,6 +60,8 @@ def test_the_numbers_are_those_of_the_sweeps_own_table(smoke: SmokeRun, tmp_path
         record = read_json(smoke.store / "nodes" / node / "node.json")
         assert (record["component"], record["tags"]["seed"]) == ("policy_training", str(seed))
         assert set(policies[policies["configuration"] == node]["hardware"]) == {record["hardware"]}
+        assert set(policies[policies["configuration"] == node]["commit"]) == {record["commit"]}
+    assert table["thesis_tenth_percentile"].isna().all(), "the thesis counts 100 steps, not 20"
     pooled = policies[policies["pooled"]].fillna({"proximity": -1.0})
     means = pooled.groupby(["algorithm", "proximity"])["return"].mean()
     stored = table.fillna({"proximity": -1.0}).set_index(["algorithm", "proximity"])["mean"]

@@ -129,7 +129,9 @@ def test_failing_trials_say_why_and_the_search_goes_on(home: Path, log: Path) ->
     trials = study(home, log).trials()
     assert [t.state.name for t in trials[:3]] == ["COMPLETE", "FAIL", "FAIL"]
     assert trials[1].user_attrs["error"] == "x must not be 0."
-    assert trials[2].user_attrs["error"] == "ValueError: this toy is in a bad mood"
+    said = trials[2].user_attrs["error"]
+    assert said.startswith("ValueError: this toy is in a bad mood (")
+    assert said.endswith(", in fit)")
     assert study(home, log).ended == len(trials) == 4
     assert any("failed: ValueError: this toy is in a bad mood" in note for note in notes)
 
