@@ -132,7 +132,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
     suffix = f" · {name}" if several else ""
     aggregations = sweep.of("aggregation")
     logs = {}
-    alone = judged_alone(sweep)
+    alone = judged_alone(sweep.done, sweep.missing)
     for node in sweep.of("data_generation"):
         if node.tags["dataset"] in alone:
             continue  # nothing can be tried there: such logs have a part of their own
@@ -163,7 +163,10 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
         )
         summaries.append(summary)
     comparison = compare(aggregations)
-    judged = judged_logs(store, sweep, judged_table(store, sweep), suffix) if alone else []
+    judged = []
+    if alone:
+        policies = judged_table(store, sweep.done)
+        judged = judged_logs(store, sweep.done, sweep.missing, policies, suffix)
     return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix), judged)
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from components.core.files import read_json, write_json
 from components.reporting.judged_page import JUDGED_PARTS
-from components.reporting.promises import promise
+from components.reporting.promises import brief, promise
 from flows import import_log
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
@@ -114,6 +114,10 @@ def test_its_numbers_are_those_of_the_sweeps_own_tables(own: Own, tmp_path: Path
     shown = current_report(tmp_path / "report", own.plan, own.store)
     assert shown.has_page
     assert shown.table is None
+    [judged] = gather_judged(own.store, ["own"]).logs
+    for line in brief(judged):
+        assert line in shown.below
+        assert line in (tmp_path / "report" / "results.md").read_text(encoding="utf-8")
     assert door(f"store={own.store.root}", f"out={tmp_path}") == 0
     policies = pd.read_parquet(tmp_path / "policies.parquet")
     assert len(policies) == 2 * (1 + 11)  # seeds, policies without λ and with the judges' grid
