@@ -1,4 +1,4 @@
-"""What a command shows of a report, as it stands beside the report: `reports/SWEEP/shown.json`.
+"""What a command shows of a report or study, as it stands beside it: `reports/SWEEP/shown.json`.
 
 It is as good as the report written anew while all that the report was made from is the same: the
 nodes, the code, and what stands in `inputs` besides; and while the files are those that were
@@ -34,7 +34,7 @@ _CODE: Final = ("components/**/*.py", "components/reporting/**/*.csv", "flows/**
 _SETTINGS: Final = (
     "conf/**/*.yaml"  # a report compares with the thesis's, which are read from there
 )
-_LIBRARIES: Final = ("matplotlib", "numpy", "pandas", "scipy")
+_LIBRARIES: Final = ("imageio", "matplotlib", "numpy", "pandas", "scipy", "torch")
 
 
 @dataclass(frozen=True)
