@@ -49,6 +49,7 @@ class Operate:
         self._filming: Any = None
         self._rate = _USUAL_RATE
         self._next = 0.0
+        self._wanted: float | None = None  # setpoint that the operator has demanded
 
     async def show(self, asked: str) -> None:
         """Build the page; the session begins when the browser is connected.
@@ -134,6 +135,8 @@ class Operate:
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
             bench = Bench(operable, event.value, guarantee=self._guarantee)
+            if self._wanted is not None and bench.session.plant.setpoint is not None:
+                bench.session.plant.demand(self._wanted)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -248,6 +251,7 @@ class Operate:
             return
         try:
             self._bench.session.plant.demand(float(event.value))
+            self._wanted = float(event.value)
         except (ValueError, TypeError) as error:
             self._say(str(error))
 
