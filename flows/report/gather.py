@@ -58,11 +58,12 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         names: Of the sweeps; of several, labels of algorithms name theirs.
 
     Raises:
-        SettingsError: There is no such sweep, or no result of one is finished yet.
+        SettingsError: There is no such sweep, or no result of one is finished yet and no policy is
+            judged from its log alone.
         DamagedFileError: A file behind the report is missing or damaged.
     """
     parts = [_read(store, name, several=len(names) > 1) for name in names]
-    if not any(part.cells for part in parts):
+    if not any(part.cells or part.judged for part in parts):
         if not any(has_cells(store.root, name) for name in names):
             raise SettingsError(
                 f"sweep={','.join(names)} has neither evaluated nor judged policies, and the page "

@@ -250,6 +250,29 @@ def test_in_a_sweep_of_both_kinds_judged_logs_are_a_part_of_the_page(
 
 
 @pytest.mark.slow(8)
+@pytest.mark.parametrize("gone", [("aggregate/",), ("",)])
+def test_a_sweep_of_both_kinds_has_a_page_before_anything_is_tried(
+    own: Own, tmp_path: Path, capsys: pytest.CaptureFixture[str], gone: tuple[str, ...]
+) -> None:
+    chosen = ("datasets=[furnace,bad-0.4]", "algorithms=[bc]", "seeds=[0,1]")
+    plan = benchmark_plan(load_settings((*BUDGETS, *chosen)))
+    root = partial_store(own, tmp_path, *gone)
+    SweepRecord.of("both", "python -m both", plan).save(root)
+    for kind in ("html", "markdown", "latex"):
+        assert door(f"store={root}", "sweep=both", f"out={tmp_path}", f"format={kind}") == 0
+    assert "0 of 1 cells of the table are finished." in capsys.readouterr().out
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "## Logs without a real system" in text
+    assert "- bc on bad-0.4: 0 of 2 seeds evaluated" in text
+    assert ("0 of 2 seeds judged" in text) == (gone == ("",))
+    with visited((tmp_path / "report.html").as_uri()) as visit:
+        visit.page.wait_for_selector("body[data-ready]")
+        assert "0 of 2 seeds evaluated" in visit.page.inner_text("body")
+        assert visit.page.locator("#judged .card h3").all_inner_texts() == ["furnace"]
+        assert visit.complaints == []
+
+
+@pytest.mark.slow(8)
 def test_a_browser_shows_it_without_a_network(own: Own, tmp_path: Path) -> None:
     assert door(f"store={own.store.root}", f"out={tmp_path}") == 0
     address = (tmp_path / "report.html").as_uri()
