@@ -1,8 +1,6 @@
 """The page on which an operator turns the proximity while a machine runs."""
 
-import asyncio
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -159,30 +157,16 @@ class Operate:
         if not real:
             said.append("No system is known here: the policy is shown on recorded states.")
         if bench.drawable:
-            self._filming = self._film(bench)
+            from flows.console.camera import filmed  # imports MuJoCo, which only robots need
+
+            self._filming = filmed(
+                bench, lambda: self._bench is bench, self._scene.picture, self._say
+            )
         self._say(" ".join(filter(None, said)))
         session.proximity = float(self._slider.value or 0.0) if session.takes_proximity else 0.0
         self._bench = bench
         self._show_pause()
         self._turn_map()
-
-    def _film(self, bench: Bench) -> Any:
-        from flows.console.camera import Filming  # imports MuJoCo, which only robots need
-
-        loop = asyncio.get_running_loop()
-
-        def show(address: str) -> None:
-            loop.call_soon_threadsafe(self._if_operated, bench, self._scene.picture, address)
-
-        def fail(sentence: str) -> None:
-            loop.call_soon_threadsafe(self._if_operated, bench, self._say, sentence)
-
-        return Filming(bench, show, fail)
-
-    def _if_operated(self, bench: Bench, tell: Callable[[str], None], what: str) -> None:
-        """Tell what a camera says unless its robot has left the page meanwhile."""
-        if self._bench is bench:
-            tell(what)
 
     def _close_camera(self) -> None:
         if self._filming is not None:
