@@ -185,7 +185,8 @@ def run_sweep(
         SettingsError: This computer cannot do it, or it takes longer than a year.
     """
     limit = Limit(settings.runner.max_hours, settings.runner.until)
-    store = store_at(settings.store, create=not settings.dry_run, drives=not settings.dry_run)
+    repairs, drives = settings.runner.repair == "recompute", not settings.dry_run
+    store = store_at(settings.store, create=drives, drives=drives, repairs=repairs)
     # A dry run prints its result, so it goes to stdout.
     display = Display(Console(highlight=False, soft_wrap=True) if settings.dry_run else None)
     executor = make_executor(settings)
@@ -193,7 +194,6 @@ def run_sweep(
     display.console.print(f"Sweep [bold]{name}[/bold] in {place}/", soft_wrap=True)
     for sentence in filter(None, (about, limit.sentence)):
         display.note(sentence)
-    repairs = settings.runner.repair == "recompute"
     found = audit(plan, store)
     if not repairs:
         found.refuse()

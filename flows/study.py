@@ -2,16 +2,27 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flows.command_line import COMMON_HELP, Metrics, run_door, run_sweep, show_or_do, store_word
+from flows.command_line import (
+    COMMON_HELP,
+    Metrics,
+    run_door,
+    run_sweep,
+    show_or_do,
+    store_word,
+    window_width,
+)
 from flows.configuration.checking import hint
 from flows.configuration.settings import Settings, SettingsError, load_settings
+from flows.pipeline.plan import Plan
 from flows.pipeline.runner import Outcome
 from flows.pipeline.store import ArtifactStore
 from flows.planning.benchmark import sweep_name
+from flows.report.current import Written, current
 from flows.report.report import write_report
+from flows.report.shown import Shown
 from flows.studies import STUDIES
 from flows.studies.study import Study
 
@@ -81,23 +92,38 @@ def _study(study: Study, settings: Settings) -> int:
 
     def report(outcome: Outcome) -> tuple[Sequence[Path], Metrics]:
         store = ArtifactStore(settings.store)
-        folder.mkdir(parents=True, exist_ok=True)
-        files: Sequence[Path] = ()
-        headline: Metrics = {}
-        if "aggregation" in plan.by_component():
-            written = write_report(folder, plan, store, f"study {study.name}")
-            files, headline = written.files, written.headline
-            for note in written.notes:
-                print(f"Note: {note}")
-        if not all(store.complete(node.key) for node in plan):
-            return files, headline
-        drawn = study.draw(plan, store, folder)
-        print(f"{drawn.text}\nFigures and tables: {folder}/")
-        if headline:
-            print(f"As a page: python -m flows.report sweep={name} store={store_word(settings)}")
-        return [*files, *drawn.files], headline
+        about = f"study {study.name}"
+        shown = current(folder, plan, store, about, lambda: _write(study, plan, store, folder))
+        for line in shown.lines(window_width()):
+            print(line)
+        if _finished(plan, store):
+            print(f"Figures and tables: {folder}/")
+            if shown.headline:
+                place = store_word(settings)
+                print(f"As a page: python -m flows.report sweep={name} store={place}")
+        return shown.files, shown.headline
 
     return run_sweep(settings, name, plan, report)
+
+
+def _write(study: Study, plan: Plan, store: ArtifactStore, folder: Path) -> Written:
+    """The report of a study's runs if they are policies', and what it has found if all ended."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shown, others = Shown([], None, [], {}), []
+    if "aggregation" in plan.by_component():
+        written = write_report(folder, plan, store, f"study {study.name}")
+        notes = [f"Note: {note}" for note in written.notes]
+        shown = Shown(written.files, None, notes, written.headline)
+        others = [written.nodes] if written.nodes else []
+    if _finished(plan, store):
+        drawn = study.draw(plan, store, folder)
+        files, below = [*shown.files, *drawn.files], [*shown.below, *drawn.text.splitlines()]
+        shown = replace(shown, files=files, below=below)
+    return shown, others
+
+
+def _finished(plan: Plan, store: ArtifactStore) -> bool:
+    return all(store.complete(node.key) for node in plan)
 
 
 if __name__ == "__main__":

@@ -18,9 +18,12 @@ from flows.pipeline.remote.bringing import bring
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord, read_sweep, sweep_files
 from flows.pipeline.tracking.mlflow_address import StoreAddress
+from flows.pipeline.tracking.mlflow_board import KEY_OF
 from flows.pipeline.tracking.mlflow_experiment import MlflowExperiment
+from flows.pipeline.tracking.mlflow_leftovers import delete_row
+from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
 from flows.verification.damage import Damage, Nodes, check_nodes, check_records, check_work
-from flows.verification.orphans import Orphan, RecordedRun, find_orphans, freed_bytes
+from flows.verification.orphans import Orphan, RecordedRow, RecordedRun, find_orphans, freed_bytes
 
 __all__ = ["VerifySettings", "load_verify_settings", "verify"]
 
@@ -157,6 +160,27 @@ def _recorded_runs(store: ArtifactStore) -> list[RecordedRun] | None:
     ]
 
 
+def _recorded_rows(store: ArtifactStore) -> list[RecordedRow]:
+    """All rows of the leaderboard in the store's own database."""
+    board = _leaderboard(store)
+    return [
+        RecordedRow(
+            run.info.run_id,
+            run.info.run_name,
+            frozenset(key for tag, key in run.data.tags.items() if tag.startswith(KEY_OF)),
+        )
+        for run in (() if board is None else board.search("tags.role = 'row'"))
+    ]
+
+
+def _leaderboard(store: ArtifactStore) -> MlflowExperiment | None:
+    """The leaderboard in the store's own database; None if it has none."""
+    runs = _own_experiment(store)
+    if runs is None or runs.client.get_experiment_by_name(LEADERBOARD) is None:
+        return None
+    return MlflowExperiment(store.root, name=LEADERBOARD)
+
+
 def _own_experiment(store: ArtifactStore) -> MlflowExperiment | None:
     address = StoreAddress(store.root)
     if not (address.own and address.database.exists()):
@@ -173,7 +197,8 @@ def _prune(store: ArtifactStore, settings: VerifySettings) -> None:
             return
         orphans = _name_orphans(store, settings)
         summary, total = _summary(orphans)
-        _delete_runs(store, [orphan.run for orphan in orphans if orphan.run])
+        _delete_runs(store, [orphan.run for orphan in orphans if orphan.kind == "run"])
+        _delete_rows(store, [orphan.run for orphan in orphans if orphan.kind == "row"])
         removed = sum(_remove(store, orphan) for orphan in orphans)
     if orphans:
         freed = f", which frees {total}" if removed == len(orphans) else ""
@@ -189,7 +214,8 @@ def _offer(store: ArtifactStore, settings: VerifySettings) -> None:
 
 
 def _name_orphans(store: ArtifactStore, settings: VerifySettings) -> list[Orphan]:
-    orphans = find_orphans(store, _readable_sweeps(store), _recorded_runs(store), settings.days)
+    runs, rows = _recorded_runs(store), _recorded_rows(store)
+    orphans = find_orphans(store, _readable_sweeps(store), runs, settings.days, rows)
     if not StoreAddress(store.root).own:
         unsure = [orphan for orphan in orphans if orphan.kind == "artifact"]
         orphans = [orphan for orphan in orphans if orphan.kind != "artifact"]
@@ -219,6 +245,14 @@ def _delete_runs(store: ArtifactStore, runs: Sequence[str]) -> None:
         with experiment.writing():
             for run in runs:
                 experiment.client.delete_run(run)
+
+
+def _delete_rows(store: ArtifactStore, rows: Sequence[str]) -> None:
+    board = _leaderboard(store) if rows else None
+    if board is not None:
+        with board.writing():
+            for row in rows:
+                delete_row(board, board.client.get_run(row))
 
 
 def _remove(store: ArtifactStore, orphan: Orphan) -> bool:

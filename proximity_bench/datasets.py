@@ -1,5 +1,6 @@
 """Opens logs: by name, from tables with a schema, from folders and from Minari."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from flows.configuration.given import settings_of
 from flows.configuration.log_schemas import checked_schema, fields_in
 from flows.planning.nodes import data_node
 
-__all__ = ["PROFILE", "dataset"]
+__all__ = ["PROFILE", "DoubtfulLogWarning", "dataset"]
 
 PROFILE: Final = "paper"
 """Whose settings hold where none are given: the defaults, and what datasets and domains change."""
@@ -28,6 +29,10 @@ _MINARI: Final = "minari:"
 _CARD: Final = "card.json"
 
 Schema = LogSchema | Mapping[str, Any] | str | Path
+
+
+class DoubtfulLogWarning(UserWarning):
+    """Something in a table looks wrong; it can be used, and its owner knows what is meant."""
 
 
 def dataset(
@@ -44,6 +49,8 @@ def dataset(
     **sizes: int,
 ) -> OfflineDataset:
     """Open a log, or make it.
+
+    What looks wrong in a table is a :class:`DoubtfulLogWarning`, a sentence each.
 
     Args:
         source: A name of conf/dataset, whose log is generated; a folder that
@@ -81,7 +88,10 @@ def dataset(
     columns = _schema(schema, source)
     tables = _tables(source, CsvFormat.of(columns))
     own = _free_name(name or "log")
-    return import_tables(tables, columns, Repairs(missing, gaps, short), own).dataset
+    imported = import_tables(tables, columns, Repairs(missing, gaps, short), own)
+    for sentence in imported.warnings:
+        warnings.warn(sentence, DoubtfulLogWarning, stacklevel=2)
+    return imported.dataset
 
 
 def _refuse(argument: str, value: object, because: str) -> None:

@@ -7,9 +7,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import torch
 from torch import Tensor
 
-__all__ = ["FarFromLogWarning", "checked_frames", "warn_of_strangers"]
+__all__ = ["FarFromLogWarning", "checked_frames", "checked_proximity", "warn_of_strangers"]
 
 _FAR: Final = 20.0
 """Standard deviations from a log's mean beyond which a value is hardly in the log's units: sensors
@@ -63,6 +64,40 @@ def checked_frames(
             "policy needs every value."
         )
     return frames
+
+
+def checked_proximity(
+    given: npt.ArrayLike | None, machines: int, algorithm: str, *, wanted: bool
+) -> Tensor | None:
+    """Proximities ``[1, B]``; None where none is wanted.
+
+    Args:
+        given: See :meth:`.Policy.act`.
+        machines: B.
+        algorithm: Of the policy.
+        wanted: Whether the policy takes a proximity.
+
+    Raises:
+        ValueError: It is missing, outside of [0, 1], or not wanted.
+    """
+    if (given is not None) != wanted:
+        if given is None:
+            raise ValueError(
+                f"A policy of {algorithm} needs proximity; give a number from 0, as it was always "
+                "done, to 1, what the model thinks is best."
+            )
+        raise ValueError(f"A policy of {algorithm} takes no proximity; leave it out.")
+    if given is None:
+        return None
+    try:
+        values = np.broadcast_to(np.asarray(given, dtype=np.float32), (machines,))
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"proximity={given!r} is neither a number nor one for each of {machines} histories."
+        ) from error
+    if not ((values >= 0) & (values <= 1)).all():
+        raise ValueError(f"proximity={given!r} must lie in [0, 1].")
+    return torch.from_numpy(values.copy())[None]
 
 
 def warn_of_strangers(frames: Frames, features: Sequence[str], mean: Tensor, scale: Tensor) -> None:

@@ -25,7 +25,7 @@ from components.policies.export import export_policy
 from components.policies.policy import Policy as StoredPolicy
 from components.policies.portable import Plant
 from components.policies.portable_check import Checked, drawn_states
-from proximity_bench.histories import checked_frames, warn_of_strangers
+from proximity_bench.histories import checked_frames, checked_proximity, warn_of_strangers
 from proximity_bench.progress import progress_bars
 
 __all__ = ["BEHAVIOUR", "FORMAT", "ORIGIN", "Policy"]
@@ -136,7 +136,7 @@ class Policy:
         newest = history_rows(np.asarray(seen.shape[1] - 1), np.asarray(0), self.history)
         chosen = self._newest.act(
             torch.from_numpy(seen[None, :, newest]),
-            self._proximity(proximity, len(seen)),
+            checked_proximity(proximity, len(seen), self.algorithm, wanted=self.takes_proximity),
             self._candidates(len(seen), noise),
         )
         actions = chosen[0].numpy().astype(np.float64)
@@ -273,27 +273,6 @@ class Policy:
     def _noise(self) -> np.random.Generator:
         key = lane_key(self.stack.card.dataset, self.algorithm, self.seed)
         return lane_generator(lane_key(key, "act"))
-
-    def _proximity(self, given: npt.ArrayLike | None, machines: int) -> Tensor | None:
-        """Checked proximities ``[1, B]``."""
-        if (given is not None) != self.takes_proximity:
-            if given is None:
-                raise ValueError(
-                    f"A policy of {self.algorithm} needs proximity; give a number from 0, as it "
-                    "was always done, to 1, what the model thinks is best."
-                )
-            raise ValueError(f"A policy of {self.algorithm} takes no proximity; leave it out.")
-        if given is None:
-            return None
-        try:
-            values = np.broadcast_to(np.asarray(given, dtype=np.float32), (machines,))
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"proximity={given!r} is neither a number nor one for each of {machines} histories."
-            ) from error
-        if not ((values >= 0) & (values <= 1)).all():
-            raise ValueError(f"proximity={given!r} must lie in [0, 1].")
-        return torch.from_numpy(values.copy())[None]
 
     def _candidates(self, machines: int, noise: np.random.Generator | None) -> Tensor | None:
         card = self.stack.card

@@ -1,6 +1,7 @@
 """The data behind a report: a row per policy, snapshot and proximity."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +10,19 @@ import pandas as pd
 from components.reporting.evidence import Cell, Evidence
 
 __all__ = ["policy_table"]
+
+_COLUMNS: Final = (
+    "dataset",
+    "algorithm",
+    "seed",
+    "updates",
+    "proximity",
+    "return",
+    "logged",
+    "pooled",
+    "configuration",
+    "hardware",
+)
 
 
 def policy_table(evidence: Evidence) -> pd.DataFrame:
@@ -20,7 +34,8 @@ def policy_table(evidence: Evidence) -> pd.DataFrame:
         whether the policy is `pooled`, the digest of its `configuration`, the `hardware` that
         trained it and the `commit` of the code that did (empty if unknown).
     """
-    return pd.concat([_rows(cell) for cell in evidence.cells.values()], ignore_index=True)
+    rows = [_rows(cell) for cell in evidence.cells.values()]
+    return pd.concat(rows, ignore_index=True) if rows else pd.DataFrame(columns=list(_COLUMNS))
 
 
 def _rows(cell: Cell) -> pd.DataFrame:

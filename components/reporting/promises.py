@@ -19,7 +19,7 @@ from components.reporting.trial import (
     with_sign,
 )
 
-__all__ = ["Promise", "promise"]
+__all__ = ["Promise", "brief", "promise"]
 
 _FEW: Final = 4  # choices of which an order says little
 _MUCH_MORE: Final = 1.5  # times the chosen gain, from which a higher promise is worth a word
@@ -88,6 +88,17 @@ def promise(log: JudgedLog) -> Promise:
         start.run if start is not None else "",
         lead_table({name: named[name] for name in shown}),
     )
+
+
+def brief(log: JudgedLog) -> list[str]:
+    """What a terminal says of one log; what speaks against it is left to the page."""
+    said = promise(log)
+    lines = [f"{log.name}: {said.headline}. Judged from the log alone, never tried."]
+    if said.first:
+        lines.append(f"What to try first. {' '.join(said.first)}")
+    if said.warnings:
+        lines.append("The page says what speaks against it.")
+    return lines
 
 
 def _judge(log: JudgedLog, best: Choice) -> tuple[Judgement, str]:

@@ -3,6 +3,7 @@
 A drawing library belongs to one thread, so every camera has its own, which leaves with its window.
 """
 
+import asyncio
 import base64
 import io
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from PIL import Image
 from components.environments.rendering import Camera
 from flows.console.bench import Bench
 
-__all__ = ["Filming"]
+__all__ = ["Filming", "filmed"]
 
 _QUALITY = 80  # of a JPEG picture; at 320 pixels about 8 KB
 
@@ -70,3 +71,29 @@ class Filming:
     def _end(self) -> None:
         if self._camera is not None:
             self._camera.close()
+
+
+def filmed(
+    bench: Bench,
+    operated: Callable[[], bool],
+    show: Callable[[str], None],
+    fail: Callable[[str], None],
+) -> Filming:
+    """A camera for a page: it tells what it has to say in the page's own thread.
+
+    Args:
+        bench: Whose robot is filmed.
+        operated: Whether it is still on the page; nothing is told of one that has left.
+        show: Called with each picture as a data URL.
+        fail: Called with a sentence if nothing can be drawn.
+    """
+    loop = asyncio.get_running_loop()
+
+    def tell(what: Callable[[str], None], text: str) -> None:
+        if operated():
+            what(text)
+
+    def told(what: Callable[[str], None]) -> Callable[[str], object]:
+        return lambda text: loop.call_soon_threadsafe(tell, what, text)
+
+    return Filming(bench, told(show), told(fail))

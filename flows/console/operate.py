@@ -1,8 +1,6 @@
 """The page on which an operator turns the proximity while a machine runs."""
 
-import asyncio
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -49,6 +47,7 @@ class Operate:
         self._filming: Any = None
         self._rate = _USUAL_RATE
         self._next = 0.0
+        self._wanted: float | None = None  # setpoint that the operator has demanded
 
     async def show(self, asked: str) -> None:
         """Build the page; the session begins when the browser is connected.
@@ -134,6 +133,8 @@ class Operate:
             if event.value != self._choice.value:
                 return  # another one was chosen meanwhile
             bench = Bench(operable, event.value, guarantee=self._guarantee)
+            if self._wanted is not None and bench.session.plant.setpoint is not None:
+                bench.session.plant.demand(self._wanted)
         except NotOfferedError:
             self._say("There is no such policy; choose one of the list.")
             return
@@ -156,30 +157,16 @@ class Operate:
         if not real:
             said.append("No system is known here: the policy is shown on recorded states.")
         if bench.drawable:
-            self._filming = self._film(bench)
+            from flows.console.camera import filmed  # imports MuJoCo, which only robots need
+
+            self._filming = filmed(
+                bench, lambda: self._bench is bench, self._scene.picture, self._say
+            )
         self._say(" ".join(filter(None, said)))
         session.proximity = float(self._slider.value or 0.0) if session.takes_proximity else 0.0
         self._bench = bench
         self._show_pause()
         self._turn_map()
-
-    def _film(self, bench: Bench) -> Any:
-        from flows.console.camera import Filming  # imports MuJoCo, which only robots need
-
-        loop = asyncio.get_running_loop()
-
-        def show(address: str) -> None:
-            loop.call_soon_threadsafe(self._if_operated, bench, self._scene.picture, address)
-
-        def fail(sentence: str) -> None:
-            loop.call_soon_threadsafe(self._if_operated, bench, self._say, sentence)
-
-        return Filming(bench, show, fail)
-
-    def _if_operated(self, bench: Bench, tell: Callable[[str], None], what: str) -> None:
-        """Tell what a camera says unless its robot has left the page meanwhile."""
-        if self._bench is bench:
-            tell(what)
 
     def _close_camera(self) -> None:
         if self._filming is not None:
@@ -248,6 +235,7 @@ class Operate:
             return
         try:
             self._bench.session.plant.demand(float(event.value))
+            self._wanted = float(event.value)
         except (ValueError, TypeError) as error:
             self._say(str(error))
 

@@ -89,7 +89,9 @@ class _Audit:
     def result(self) -> Audit:
         for node in self.plan:
             place = self.store.place(node.key)
-            if place is not None:
+            if node.key in self.store.refused:
+                self._reject(node, self.store.refused[node.key])
+            elif place is not None:
                 self.places[node.key] = place
                 self._look(node, large=False)
         for node in self.plan:

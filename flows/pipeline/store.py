@@ -44,6 +44,9 @@ class ArtifactStore(WorkFolders):
 
     Everything in it is at hand. A :class:`.remote.shared_store.SharedStore` has to bring things and
     to send them, and does so in the methods at the end.
+
+    Attributes:
+        refused: Why an artifact must not be used although nothing here says so, a sentence by key.
     """
 
     def __init__(self, root: Path | str, *, create: bool = True) -> None:
@@ -58,6 +61,7 @@ class ArtifactStore(WorkFolders):
         """
         super().__init__(root)
         self._progress = self.root / "progress"
+        self.refused: dict[str, str] = {}
         if create:
             try:
                 for folder in (self.nodes, self.work, self.locks, self._progress):

@@ -173,7 +173,7 @@ def _store_of(call: GroupCall) -> ArtifactStore:
         return ArtifactStore(call.root, create=False)
     from flows.pipeline.remote.shared_store import SharedStore  # most workers do without fsspec
 
-    store = SharedStore(call.url, call.owner)
+    store = SharedStore(call.url, call.owner, repairs=call.repairs)
     store.forget_requests(call.group)
     return store
 
@@ -184,6 +184,8 @@ def _is_finished(
     """Whether a node is finished; something damaged in its place is set aside."""
     key = node["key"]
     place = store.place(key)
+    if key in store.refused:
+        raise DamagedFileError(store.refused[key], store.path(key))
     try:
         return place is not None and bool(store.check(key, large=False))
     except DamagedFileError as error:
@@ -211,7 +213,7 @@ def _compute(
         try:
             content[key] = content_digest(store.check(key))
         except DamagedFileError as error:
-            result.damaged[key] = error.sentence
+            result.damaged[key] = store.refused.get(key, error.sentence)
     if result.damaged:
         return
     keys = [node["key"] for node in nodes]

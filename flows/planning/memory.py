@@ -2,8 +2,9 @@
 
 Lower bounds from the settings alone: less than this is impossible, more may well be needed. Counted
 are the weights of the widest network with gradient and two moments, one batch as it leaves the
-widest layer, the observations of all evaluated trajectories, and the arrays of a generated log; on
-the disk these arrays, a policy's weights per snapshot and a model's per member.
+widest layer, the same of the critics of all policies that are judged together, the observations of
+all evaluated trajectories, and the arrays of a generated log; on the disk these arrays, a policy's
+weights per snapshot and a model's per member.
 """
 
 import os
@@ -21,6 +22,7 @@ from components.environments.industrial.benchmark import FRAME_FEATURES, STEERIN
 from components.environments.mujoco.specifications import ROBOTS
 from components.environments.world.plane import COORDINATES, STEPS
 from components.evaluation.protocol import EvaluationProtocol
+from components.judging.config import JudgeConfig
 from flows.configuration.settings import SettingsError
 from flows.pipeline.plan import Node
 from flows.pipeline.schedule import Group
@@ -29,7 +31,7 @@ __all__ = ["check_capacity", "least_bytes", "least_stored", "needs", "total_memo
 
 _FLOAT: Final = 4  # bytes
 _COPIES: Final = 4  # of a weight: itself, its gradient, Adam's two moments
-_SIZES: Final = ("trajectories", "steps", "transitions", "batch", "members", "horizon")
+_SIZES: Final = ("trajectories", "steps", "transitions", "batch", "members", "replicas", "horizon")
 """Settings that messages name, with the widths of layers."""
 
 
@@ -59,7 +61,7 @@ def check_capacity(groups: Iterable[Group], memory: int, store: Path) -> None:
             raise SettingsError(
                 f"{group.nodes[0].name} needs at least {_size(needed)} of memory "
                 f"({_why(group.nodes)}) and this computer has {_size(memory)}; lower these "
-                f"settings{' or compute fewer at once (pack)' if len(group.nodes) > 1 else ''}."
+                f"settings{_fewer(group.nodes)}."
             )
         stored += sum(least_stored(node) for node in group.nodes)
     if stored > free:
@@ -105,6 +107,8 @@ def least_bytes(nodes: Sequence[Node]) -> int:
         return len(nodes) * _training_bytes(first)
     if first.component == "evaluation":
         return len(nodes) * _evaluation_bytes(first)
+    if first.component == "judgement":
+        return sum(map(_judgement_bytes, nodes))
     return 0
 
 
@@ -170,7 +174,12 @@ def _weights(node: Node) -> list[int]:
     # Models may read less than a whole observation.
     inputs = history * frame if node.component == "policy_training" else frame
     networks = _networks(node.config["settings"])
-    return [sum(a * b for a, b in pairwise([inputs, *hidden, 1])) for hidden in networks]
+    return [_between([inputs, *hidden, 1]) for hidden in networks]
+
+
+def _between(widths: Sequence[int]) -> int:
+    """Weights between layers of these widths."""
+    return sum(a * b for a, b in pairwise(widths))
 
 
 def _evaluation_bytes(node: Node) -> int:
@@ -178,17 +187,38 @@ def _evaluation_bytes(node: Node) -> int:
     policy = node.inputs["policy"]
     history, frame, _ = _shape(_spec(policy.inputs["dataset"]))
     protocol, _ = EvaluationProtocol.of_record(node.config["evaluation"])
-    takes = ALGORITHMS[policy.config["algorithm"]].takes_proximity
-    proximities = len(protocol.proximities) if takes else 1
+    proximities = len(protocol.proximities) if _takes_proximity(policy) else 1
     copies = policy.config["snapshots"] * proximities * protocol.trajectories
     return int(copies * history * frame * _FLOAT)
+
+
+def _judgement_bytes(node: Node) -> int:
+    """The critics of a run's judged policies, and of each a batch behind its widest layer."""
+    config, policy = JudgeConfig(**node.config["estimates"]), node.inputs["policy"]
+    history, frame, action = _shape(_spec(policy.inputs["dataset"]))
+    proximities = len(config.proximities) if _takes_proximity(policy) else 1
+    critics = node.config["snapshots"] * proximities * config.replicas
+    weights = _between([history * frame + action, *config.hidden, 1])
+    return int(critics * (weights * _COPIES + config.batch * max(config.hidden)) * _FLOAT)
+
+
+def _takes_proximity(policy: Node) -> bool:
+    return ALGORITHMS[policy.config["algorithm"]].takes_proximity
+
+
+def _fewer(nodes: Sequence[Node]) -> str:
+    """How less could be computed in one task call; all policies of a log are judged together."""
+    if len(nodes) == 1:
+        return ""
+    judged = nodes[0].component == "judgement"
+    return f" or {'judge fewer seeds or algorithms' if judged else 'compute fewer at once (pack)'}"
 
 
 def _why(nodes: Sequence[Node]) -> str:
     """The settings behind the memory of a task call."""
     config = nodes[0].config
     groups: Sequence[Mapping[str, Any]] = [
-        config[name] for name in ("spec", "settings", "evaluation") if name in config
+        config[name] for name in ("spec", "settings", "evaluation", "estimates") if name in config
     ]
     named = [
         f"{name}={value}".replace(" ", "")

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from components.reporting.promises import promise
+from components.reporting.promises import brief
 from flows.command_line import run_door
 from flows.configuration.checking import SettingsError, StoreFolder, StrictModel, build_config
 from flows.configuration.words import fields_of_words
@@ -107,11 +107,7 @@ def _judged(
     judged = gather_judged(store, names)
     files = write_judged(folder, judged, settings.format)
     for log in judged.logs:
-        said = promise(log)
-        print(f"{log.name}: {said.headline}. Judged from the log alone, never tried.")
-        if said.first:
-            print(f"What to try first. {' '.join(said.first)}")
-        for line in log.progress:
+        for line in (*brief(log), *log.progress):
             print(line)
     if settings.figures:
         print("figures=true: judged policies have no figures but those of the page.")

@@ -58,11 +58,12 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         names: Of the sweeps; of several, labels of algorithms name theirs.
 
     Raises:
-        SettingsError: There is no such sweep, or no result of one is finished yet.
+        SettingsError: There is no such sweep, or no result of one is finished yet and no policy is
+            judged from its log alone.
         DamagedFileError: A file behind the report is missing or damaged.
     """
     parts = [_read(store, name, several=len(names) > 1) for name in names]
-    if not any(part.cells for part in parts):
+    if not any(part.cells or part.judged for part in parts):
         if not any(has_cells(store.root, name) for name in names):
             raise SettingsError(
                 f"sweep={','.join(names)} has neither evaluated nor judged policies, and the page "
@@ -132,7 +133,7 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
     suffix = f" · {name}" if several else ""
     aggregations = sweep.of("aggregation")
     logs = {}
-    alone = judged_alone(sweep)
+    alone = judged_alone(sweep.done, sweep.missing)
     for node in sweep.of("data_generation"):
         if node.tags["dataset"] in alone:
             continue  # nothing can be tried there: such logs have a part of their own
@@ -164,7 +165,10 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
         )
         summaries.append(summary)
     comparison = compare(aggregations)
-    judged = judged_logs(store, sweep, judged_table(store, sweep), suffix) if alone else []
+    judged = []
+    if alone:
+        policies = judged_table(store, sweep.done)
+        judged = judged_logs(store, sweep.done, sweep.missing, policies, suffix)
     return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix), judged)
 
 

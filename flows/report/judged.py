@@ -10,6 +10,7 @@ from components.aggregation.selection import scored
 from components.data.card import DatasetCard
 from components.reporting.judged import Judged, JudgedLog, Returns, choices
 from components.reporting.leads import leads_of
+from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import known_nodes
 from flows.report.costs import cost_table, software_table
@@ -19,7 +20,7 @@ from flows.report.leads import expected_frames
 from flows.report.other_tables import guesses_of
 from flows.report.selection import doubts, judged_policies
 from flows.report.software import software_notes
-from flows.report.stored_nodes import StoredSweep, read_stored_sweep
+from flows.report.stored_nodes import read_stored_sweep
 
 __all__ = ["gather_judged", "has_judgements", "judged_alone", "judged_logs", "judged_table"]
 
@@ -48,8 +49,8 @@ def gather_judged(store: ArtifactStore, names: Sequence[str]) -> Judged:
     logs, tables, notes, said = [], [], [], []
     for name, sweep in sweeps.items():
         suffix = f" · {name}" if several else ""
-        policies = judged_table(store, sweep)
-        logs += judged_logs(store, sweep, policies, suffix)
+        policies = judged_table(store, sweep.done)
+        logs += judged_logs(store, sweep.done, sweep.missing, policies, suffix)
         tables.append(policies.assign(sweep=name) if several else policies)
         notes += [
             *fit_notes(sweep.done, store),
@@ -69,9 +70,14 @@ def gather_judged(store: ArtifactStore, names: Sequence[str]) -> Judged:
     )
 
 
-def judged_alone(sweep: StoredSweep) -> list[str]:
-    """Datasets whose policies are judged and cannot be tried, finished or not."""
-    runs = [*(node.name for node in sweep.done), *sweep.missing]
+def judged_alone(done: Sequence[Node], missing: Sequence[str]) -> list[str]:
+    """Datasets whose policies are judged and cannot be tried, finished or not.
+
+    Args:
+        done: The finished nodes of a sweep.
+        missing: Run names of the others.
+    """
+    runs = [*(node.name for node in done), *missing]
     tried, judged = (
         dict.fromkeys(run.split("/")[2] for run in runs if run.startswith(kind))
         for kind in (_TRIED, _JUDGED)
@@ -80,13 +86,18 @@ def judged_alone(sweep: StoredSweep) -> list[str]:
 
 
 def judged_logs(
-    store: ArtifactStore, sweep: StoredSweep, policies: pd.DataFrame, suffix: str = ""
+    store: ArtifactStore,
+    done: Sequence[Node],
+    missing: Sequence[str],
+    policies: pd.DataFrame,
+    suffix: str = "",
 ) -> list[JudgedLog]:
     """What was judged of a sweep's logs without a real system, log by log.
 
     Args:
         store: With the sweep.
-        sweep: What is finished of it.
+        done: Its finished nodes.
+        missing: Run names of the others.
         policies: Its judged policies.
         suffix: Of the labels.
 
@@ -94,14 +105,14 @@ def judged_logs(
         DamagedFileError: A file behind it is missing or damaged.
     """
     cards, keys = {}, {}
-    for node in sweep.of("data_generation"):
+    for node in _of(done, "data_generation"):
         store.check(node.key, (_CARD,))
         keys[node.tags["dataset"]] = node.key
         cards[node.tags["dataset"]] = DatasetCard.load(store.path(node.key) / _CARD)
     guesses = guesses_of(store.root, keys)
-    frames = expected_frames(sweep.done, store)
+    frames = expected_frames(done, store)
     logs = []
-    for dataset in judged_alone(sweep):
+    for dataset in judged_alone(done, missing):
         own = policies[policies["dataset"] == dataset] if len(policies) else policies
         labelled = own.assign(algorithm=own["algorithm"] + suffix) if len(own) else own
         card = cards.get(dataset)
@@ -115,25 +126,25 @@ def judged_logs(
                 dataset=dataset,
                 choices=choices(labelled, leads_of(leads)) if len(own) else [],
                 returns=None if card is None else _returns(card),
-                facts={} if card is None else _facts(card, _held_out(sweep, dataset)),
+                facts={} if card is None else _facts(card, _held_out(done, dataset)),
                 doubts=doubts(own, [card]) if card is not None and len(own) else [],
-                progress=_progress(sweep, dataset),
+                progress=_progress(done, missing, dataset),
                 guess=guesses.get(dataset),
             )
         )
     return logs
 
 
-def judged_table(store: ArtifactStore, sweep: StoredSweep) -> pd.DataFrame:
+def judged_table(store: ArtifactStore, done: Sequence[Node]) -> pd.DataFrame:
     """All judged policies of a sweep with their scores and the runs that trained them.
 
     Raises:
         DamagedFileError: A judgement is missing or damaged.
     """
-    found = judged_policies(sweep.done, store)
+    found = judged_policies(done, store)
     if found.empty:
         return found
-    runs = {node.key: node.name for node in sweep.of("policy_training")}
+    runs = {node.key: node.name for node in _of(done, "policy_training")}
     return scored(found.assign(run=found["policy"].map(runs)))
 
 
@@ -143,9 +154,13 @@ def _returns(card: DatasetCard) -> Returns:
     )
 
 
-def _held_out(sweep: StoredSweep, dataset: str) -> float | None:
+def _of(done: Sequence[Node], component: str) -> list[Node]:
+    return [node for node in done if node.component == component]
+
+
+def _held_out(done: Sequence[Node], dataset: str) -> float | None:
     """Share of the episodes that the judges keep for themselves."""
-    for node in sweep.of("data_split"):
+    for node in _of(done, "data_split"):
         if node.tags["dataset"] == dataset:
             return float(node.config["held_out"])
     return None
@@ -176,18 +191,18 @@ def _facts(card: DatasetCard, held_out: float | None) -> dict[str, str]:
     return facts
 
 
-def _progress(sweep: StoredSweep, dataset: str) -> list[str]:
+def _progress(done: Sequence[Node], missing: Sequence[str], dataset: str) -> list[str]:
     """A sentence on what is not judged yet, if anything is."""
 
     def counted(runs: Sequence[str], kind: str) -> Counter[str]:
         begin = [run.removeprefix(kind).split("/") for run in runs if run.startswith(kind)]
         return Counter(parts[0] for parts in begin if len(parts) == 3 and parts[1] == dataset)
 
-    names = [node.name for node in sweep.done]
-    waiting, judged = counted(sweep.missing, _JUDGED), counted(names, _JUDGED)
+    names = [node.name for node in done]
+    waiting, judged = counted(missing, _JUDGED), counted(names, _JUDGED)
     if not waiting:
         return []
-    trained = counted([node.name for node in sweep.of("policy_training")], "")
+    trained = counted([node.name for node in _of(done, "policy_training")], "")
     said = [
         f"{algorithm}: {judged[algorithm]} of {judged[algorithm] + count} seeds judged, "
         f"{trained[algorithm]} trained"

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from flows.pipeline.sweep_records import known_nodes
+from flows.report.shown import RANKINGS
 
 __all__ = ["guesses_of", "judges_of", "ranking_of", "selection_of"]
 
@@ -30,7 +31,7 @@ def ranking_of(root: Path, datasets: Mapping[str, str]) -> pd.DataFrame | None:
         datasets: Name -> key of the node that generated it: a ranking of other logs says nothing.
     """
     best: pd.DataFrame | None = None
-    for path in sorted((root / "reports").glob("*/ranking.csv")):
+    for path in sorted(root.glob(RANKINGS)):
         ranked = known_nodes(root, path.parent.name)
         same = [name for name, key in datasets.items() if key in ranked]
         table = pd.read_csv(path)

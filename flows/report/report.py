@@ -15,6 +15,7 @@ from components.environments.rendering import DRAWABLE
 from components.reporting.figures import proximity_figure, save_figure
 from components.reporting.overview import Overview, overview
 from components.reporting.overview_text import markdown_overview, text_table
+from components.reporting.promises import brief
 from components.reporting.stored import ReportNodes
 from components.reporting.tables import (
     ended_notes,
@@ -31,6 +32,7 @@ from flows.report.comparison import comparable_behaviour, compare
 from flows.report.films import film_notes
 from flows.report.fits import fit_notes
 from flows.report.graphs import graph_notes
+from flows.report.judged import judged_logs, judged_table
 from flows.report.returns import cell_returns, with_intervals
 from flows.report.selection import NOTHING_JUDGED, Selection, write_selection
 from flows.report.shown import Shown
@@ -56,6 +58,7 @@ class Report:
         graphs: Sentences about trainings that have lost their CUDA graphs.
         comparison: Sentences about what cannot be compared with the thesis.
         selection: Policies that were judged from their log.
+        first: What to try first on logs without a system, in lines.
         nodes: The file with the keys of the nodes behind it.
     """
 
@@ -69,6 +72,7 @@ class Report:
     graphs: Sequence[str] = ()
     comparison: Sequence[str] = ()
     selection: Selection = NOTHING_JUDGED
+    first: Sequence[str] = ()
     nodes: Path | None = None
 
     @property
@@ -113,7 +117,8 @@ class Report:
         table, signs = None, []
         if not self.table.empty:
             table, signs = text_table(self.overview), ["", *self.overview.notes()]
-        below = [*signs, *self.selection.lines, *(f"Note: {note}" for note in self.notes)]
+        judged = [*self.selection.lines, *self.first]
+        below = [*signs, *judged, *(f"Note: {note}" for note in self.notes)]
         return Shown(self.files, table, below, self.headline)
 
     def lines(self, width: int) -> list[str]:
@@ -165,10 +170,11 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
         graph_notes(done, store),
         comparison.notes,
         selection,
+        _first(plan, done, store) if selection.datasets else [],
     )
     drawable = [card.name for card in cards if card.environment in DRAWABLE]
     notes = [*report.notes, *film_notes(done, drawable)]
-    judged = "".join(f"{line}\n" for line in selection.lines)
+    judged = "".join(f"{line}\n" for line in (*selection.lines, *report.first))
     said = "".join(f"\n- {note}" for note in notes) + "\n" * bool(notes)
     text = report.markdown() + judged + said
     datasets = {card.name: node.key for card, node in zip(cards, generations, strict=True)}
@@ -181,6 +187,14 @@ def write_report(folder: Path, plan: Plan, store: ArtifactStore, about: str = ""
 def _summary(cell: Node, store: ArtifactStore) -> dict[str, Any]:
     stored = with_undefined(store.read_json(cell.key, "summary.json"))
     return with_intervals(stored, cell_returns(cell, store), cell.config["pool_fraction"])
+
+
+def _first(plan: Plan, done: Sequence[Node], store: ArtifactStore) -> list[str]:
+    """What to try first on every log whose policies are judged and cannot be tried."""
+    finished = {node.key for node in done}
+    missing = [node.name for node in plan if node.key not in finished]
+    logs = judged_logs(store, done, missing, judged_table(store, done))
+    return [line for log in logs if log.choices for line in ("", *brief(log))]
 
 
 def _untried(plan: Plan, done: Sequence[Node], cards: Sequence[DatasetCard]) -> dict[str, str]:

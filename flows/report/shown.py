@@ -1,4 +1,4 @@
-"""What a command shows of a report, as it stands beside the report: `reports/SWEEP/shown.json`.
+"""What a command shows of a report or study, as it stands beside it: `reports/SWEEP/shown.json`.
 
 It is as good as the report written anew while all that the report was made from is the same: the
 nodes, the code, and what stands in `inputs` besides; and while the files are those that were
@@ -22,17 +22,19 @@ from components.reporting.text_table import TextTable
 from flows.pipeline.plan import Plan, digest
 from flows.pipeline.store import ArtifactStore
 
-__all__ = ["SELECTION", "Shown", "fingerprint", "read_shown", "save_shown"]
+__all__ = ["RANKINGS", "SELECTION", "Shown", "fingerprint", "read_shown", "save_shown"]
 
 SELECTION: Final = "selection.csv"
 """File of the report on judged policies, where there are any."""
+RANKINGS: Final = "reports/*/ranking.csv"
+"""Files of a store with rankings of logs, of which reports take the first guess of λ."""
 _FILE: Final = "shown.json"
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _CODE: Final = ("components/**/*.py", "components/reporting/**/*.csv", "flows/**/*.py")
 _SETTINGS: Final = (
     "conf/**/*.yaml"  # a report compares with the thesis's, which are read from there
 )
-_LIBRARIES: Final = ("matplotlib", "numpy", "pandas", "scipy")
+_LIBRARIES: Final = ("imageio", "matplotlib", "numpy", "pandas", "scipy", "torch")
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ def fingerprint(plan: Plan, store: ArtifactStore, *others: str) -> str | None:
             if found is None:
                 return None
         nodes.append([node.key, node.name, node.component, dict(node.tags), found])
-    return digest([_code(), list(others), nodes], 32)
+    ranked = [[str(path), _sha256(path)] for path in sorted(store.root.glob(RANKINGS))]
+    return digest([_code(), list(others), nodes, ranked], 32)
 
 
 def read_shown(folder: Path, inputs: str) -> Shown | None:
@@ -158,6 +161,9 @@ def _code() -> str:
         found.update(f"{name} {metadata.version(name)}".encode())
     for pattern in (*_CODE, _SETTINGS):
         for path in sorted(_ROOT.glob(pattern)):
-            content = hashlib.sha256(path.read_bytes()).hexdigest()
-            found.update(f"{path.relative_to(_ROOT)} {content}".encode())
+            found.update(f"{path.relative_to(_ROOT)} {_sha256(path)}".encode())
     return found.hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

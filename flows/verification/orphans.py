@@ -3,6 +3,7 @@
     work        begun and not finished, of no recorded sweep or untouched for long
     artifact    finished, but of no sweep, report, run or event, and read by nothing that is
     run         in MLflow, but its artifact is gone and no recorded sweep will make it again
+    row         of the leaderboard in MLflow, about an artifact of which the same is true
     leftover    temporary files of killed writers, damaged artifacts set aside, files without a run
 
 An artifact and the files of its MLflow run are second names of the same files, so removing one of
@@ -22,7 +23,7 @@ from flows.pipeline.json_lines import read_lines
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 
-__all__ = ["Orphan", "RecordedRun", "find_orphans", "freed_bytes"]
+__all__ = ["Orphan", "RecordedRow", "RecordedRun", "find_orphans", "freed_bytes"]
 
 _DAY = 86400.0
 _MODELS = "models"  # where MLflow keeps the models that flows.export_policy records
@@ -46,15 +47,30 @@ class RecordedRun:
 
 
 @dataclass(frozen=True)
+class RecordedRow:
+    """A row of the leaderboard in MLflow.
+
+    Attributes:
+        id: Of its run.
+        name: Of its run.
+        keys: Of the nodes behind it.
+    """
+
+    id: str
+    name: str
+    keys: frozenset[str]
+
+
+@dataclass(frozen=True)
 class Orphan:
     """Something that belongs to nothing.
 
     Attributes:
-        kind: "work", "artifact", "run" or "leftover".
+        kind: "work", "artifact", "run", "row" or "leftover".
         what: One line for people.
         paths: The files and folders to remove.
         keys: The nodes whose locks must be held meanwhile.
-        run: Id of the run to delete; empty if there is none.
+        run: Id of the run to delete, which a row has, too; empty if there is none.
     """
 
     kind: str
@@ -69,6 +85,7 @@ def find_orphans(
     sweeps: Sequence[SweepRecord],
     runs: Sequence[RecordedRun] | None,
     days: float,
+    rows: Sequence[RecordedRow] = (),
 ) -> list[Orphan]:
     """All orphans of a store, by kind.
 
@@ -77,6 +94,7 @@ def find_orphans(
         sweeps: Its recorded sweeps.
         runs: All runs in its MLflow database, of whatever kind; None if there is none here.
         days: Work that nobody has touched for so long is an orphan, whichever sweep began it.
+        rows: Of the leaderboard in the same database.
 
     Raises:
         ValueError: A report's or a tracker's file is damaged: it is not known what is needed.
@@ -89,6 +107,7 @@ def find_orphans(
         *_work(store, names, days),
         *_artifacts(store, used),
         *_runs(store, names, runs or ()),
+        *_rows(store, names, rows),
         *_leftovers(store, runs),
     ]
 
@@ -138,11 +157,25 @@ def _runs(
     store: ArtifactStore, names: Mapping[str, str], runs: Iterable[RecordedRun]
 ) -> Iterator[Orphan]:
     for run in runs:
-        gone = run.finished and run.key and not store.path(run.key).exists()
-        if gone and run.key not in names:
+        if run.finished and run.key and _is_gone(store, names, run.key):
             files = store.root / "artifacts" / run.id
             what = f"{run.name}: run {run.id}, whose artifact {run.key} is gone"
             yield Orphan("run", what, (files,) if files.is_dir() else (), run=run.id)
+
+
+def _rows(
+    store: ArtifactStore, names: Mapping[str, str], rows: Iterable[RecordedRow]
+) -> Iterator[Orphan]:
+    for row in rows:
+        gone = sorted(key for key in row.keys if _is_gone(store, names, key))
+        if gone:
+            what = f"{row.name}: row {row.id} of the leaderboard, whose artifact {gone[0]} is gone"
+            yield Orphan("row", what, run=row.id)
+
+
+def _is_gone(store: ArtifactStore, names: Mapping[str, str], key: str) -> bool:
+    """Whether an artifact is gone and no recorded sweep will make it again."""
+    return key not in names and not store.path(key).exists()
 
 
 def _leftovers(store: ArtifactStore, runs: Sequence[RecordedRun] | None) -> Iterator[Orphan]:

@@ -1,4 +1,4 @@
-"""What tests of pipelines begin with: an empty store, and a folder in which toys count."""
+"""What tests begin with: an empty store, a folder in which toys count, a project of one's own."""
 
 from pathlib import Path
 
@@ -18,3 +18,19 @@ def log(tmp_path: Path) -> Path:
 def store(tmp_path: Path) -> ArtifactStore:
     """An empty store."""
     return ArtifactStore(tmp_path / "mlruns")
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project folder with an empty conf/dataset, which is the working folder, too."""
+    from matplotlib.figure import Figure
+
+    from flows import import_log  # imports PyTorch, which tests of pipelines do without
+    from flows.configuration import files
+
+    (tmp_path / "conf" / "dataset").mkdir(parents=True)
+    monkeypatch.setattr(files, "CONF", tmp_path / "conf")
+    # Drawing is slow.
+    monkeypatch.setattr(import_log, "report_figure", lambda dataset: Figure((1, 1)))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

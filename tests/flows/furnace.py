@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from components.data.dataset import OfflineDataset
+from flows.import_log import import_log, load_import_settings
+
 Cells = dict[str, list[str]]
 
 EPISODES, ROWS = 6, 30
@@ -68,3 +71,11 @@ def put(column: str, row: int, value: str) -> Callable[[Cells], None]:
         cells[column][row - 2] = value
 
     return spoil
+
+
+def imported(cells: Cells, *words: str, **changes: object) -> OfflineDataset:
+    """What an import in the working folder stores."""
+    Path("log.csv").write_text(as_csv(cells), encoding="utf-8")
+    write_schema(Path.cwd(), **changes)
+    assert import_log(load_import_settings(["log.csv", "name=furnace", *words])) == 0
+    return OfflineDataset.open(Path("logs/furnace"))

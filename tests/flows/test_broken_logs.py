@@ -17,19 +17,9 @@ from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
 
 from flows.command_line import run_door
-from flows.configuration import files
 from flows.configuration.settings import SettingsError
 from flows.import_log import HELP, import_log, load_import_settings
 from tests.flows.furnace import Cells, as_csv, furnace, put, write_schema
-
-
-@pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project folder with an empty conf/dataset, which is the working folder, too."""
-    (tmp_path / "conf" / "dataset").mkdir(parents=True)
-    monkeypatch.setattr(files, "CONF", tmp_path / "conf")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def refused(project: Path, *words: str) -> str:

@@ -183,6 +183,21 @@ def test_the_least_memory_counts_weights_batches_and_lanes(tmp_path: Path) -> No
         check_capacity([group], 2 * (weights + batch) - 1, tmp_path)
 
 
+def test_the_least_memory_counts_the_critics_of_all_judged_policies(tmp_path: Path) -> None:
+    words = ["algorithms=[bc,lion]", "judging.policies=all", "judging.estimates.hidden=[50]"]
+    plan = benchmark_plan(load_settings(overridden(BASE, words)))
+    judged = [node for node in plan if node.component == "judgement"]
+    critic = ((183 * 50 + 50) * 4 + 256 * 50) * 4  # weights in four copies, a batch
+    assert least_bytes([n for n in judged if "bc" in n.name]) == 2 * 2 * critic  # seeds, replicas
+    needed = 2 * 2 * (1 + 11) * critic  # λ from 0 to 1 in steps of 0.1
+    assert least_bytes(judged) == needed
+    group = Group("judged", judged, set())
+    check_capacity([group], needed, tmp_path)
+    said = r"judge/bc/.* \(hidden=\[50\], batch=256, replicas=2, .*4 at once\) .* judge fewer seeds"
+    with pytest.raises(SettingsError, match=said):
+        check_capacity([group], needed - 1, tmp_path)
+
+
 def test_a_disk_without_room_for_the_datasets_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

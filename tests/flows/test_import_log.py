@@ -1,51 +1,28 @@
 """Logs that can be used: what is stored, what is said about it, and that it is a dataset."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium as gym
-import minari
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
 from matplotlib.figure import Figure
-from minari.data_collector import EpisodeBuffer
 
 from components.data.dataset import OfflineDataset
 from components.data.dynamics import DynamicsSpecification
 from components.data.imports.report import report_figure
-from components.data.sources.minari_exchange import export_minari
 from flows import import_log as door
 from flows.configuration import composition, files, schema
 from flows.configuration.settings import SettingsError, load_settings
-from flows.import_log import import_log, load_import_settings, read_schema
+from flows.import_log import import_log, load_import_settings
 from flows.planning.benchmark import benchmark_plan
 from tests.components.synthetic import make_log
-from tests.flows.furnace import EPISODES, ROWS, Cells, as_csv, furnace, put, write_schema
+from tests.flows.furnace import EPISODES, ROWS, Cells, as_csv, furnace, imported, put, write_schema
 from tests.flows.grid import finished
-
-
-@pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project folder with an empty conf/dataset, which is the working folder, too."""
-    (tmp_path / "conf" / "dataset").mkdir(parents=True)
-    monkeypatch.setattr(files, "CONF", tmp_path / "conf")
-    monkeypatch.setattr(door, "report_figure", lambda dataset: Figure((1, 1)))  # drawing is slow
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def imported(cells: Cells, *words: str, **changes: object) -> OfflineDataset:
-    """What an import in the working folder stores."""
-    Path("log.csv").write_text(as_csv(cells), encoding="utf-8")
-    write_schema(Path.cwd(), **changes)
-    assert import_log(load_import_settings(["log.csv", "name=furnace", *words])) == 0
-    return OfflineDataset.open(Path("logs/furnace"))
 
 
 def column(cells: Cells, name: str) -> np.ndarray:
@@ -311,108 +288,6 @@ def test_features_that_follow_an_action_are_known(project: Path) -> None:
     np.testing.assert_allclose(log.frames[rows + 1, 0], moved, atol=2e-3)  # three digits logged
 
 
-def test_what_looks_wrong_is_a_warning_in_the_report_and_on_the_screen(
-    project: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cells = furnace(20, 50)
-    half = 500
-    changed = [f"{float(v) * 1.8 + 32:.3f}" for v in cells["temperature"][half:]]
-    cells["temperature"] = cells["temperature"][:half] + changed
-    cells["profit"] = [f"{x:.4f}" for x in np.random.default_rng(3).normal(size=1000)]
-    cells["air"] = [str(10 * (row % 3)) for row in range(1000)]  # whole numbers, three of them
-    cells["gas"] = [f"{float(v) / 100:.5f}" for v in cells["gas"]]  # 0 ... 1, not per cent
-    imported(cells, history=60)
-    said = capsys.readouterr().out
-    for sentence in (
-        r"Warning: log\.csv, row \d+: about here feature 'temperature' seems to change its unit",
-        r"Warning: No feature explains the reward: a fit .* explains \d% of it",
-        r"Warning: Action 'air' takes 3 values only",
-        r"Warning: Action 'gas' uses 0\.8% of the range between its bounds",
-        r"Warning: 20 of 20 episodes have fewer steps than the history of 60",
-    ):
-        assert re.search(sentence, said), sentence
-    report = Path("logs/furnace/report.md").read_text(encoding="utf-8")
-    assert all(line[9:] in report for line in said.splitlines() if line.startswith("Warning: "))
-    row = int(re.search(r"row (\d+): about here feature 'temperature'", said)[1])
-    assert abs(row - half) <= 25  # a part of this log has so many rows
-
-
-def test_sensors_that_fail_are_warned_of_and_the_log_is_kept(
-    project: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cells = furnace(20, 50)
-    cells["pressure"] = [f"{x:.3f}" for x in np.random.default_rng(1).normal(1.1, 0.01, 1000)]
-    cells["fahrenheit"] = [f"{float(v) * 1.8 + 32:.2f}" for v in cells["temperature"]]
-    cells["pressure"][200:400] = ["1.103"] * 200
-    for row in (120, 340, 600):
-        put("oxygen", row, "-9999")(cells)
-    imported(cells, features=["temperature", "oxygen", "pressure", "fahrenheit"])
-    said = capsys.readouterr().out
-    for sentence in (
-        r"log\.csv, row 202: feature 'pressure'.* stands still at 1\.103 for 200 rows from here",
-        r"log\.csv, row 120: feature 'oxygen' is -9999 in 3 rows, first here, .*na_values: \[-9999",
-        r"Feature 'fahrenheit' is a copy of feature 'temperature' .* 1\.8 \* temperature \+ 32;",
-    ):
-        assert re.search(f"Warning: {sentence}", said), said
-
-
-@pytest.mark.parametrize("stands", ["after", "same"])
-def test_a_reward_in_another_row_than_the_schema_says(
-    project: Path, capsys: pytest.CaptureFixture[str], stands: str
-) -> None:
-    cells = furnace(20, 90)
-    gas = np.array(cells["gas"], float)
-    if stands == "after":
-        gas = np.roll(gas, 1)  # the first row of an episode is not used
-    cells["profit"] = [
-        f"{-abs(float(t) - 800) - g:.3f}" for t, g in zip(cells["temperature"], gas, strict=True)
-    ]
-    other = {"after": "same", "same": "after"}[stands]
-    imported(cells, outcome_row=stands)
-    assert "outcome_row" not in capsys.readouterr().out
-    imported(cells, "replace=true", outcome_row=other)
-    assert re.search(
-        rf"Warning: The action of .* should outcome_row be {stands}\?", capsys.readouterr().out
-    )
-
-
-def test_what_a_sweep_will_leave_out_is_said(
-    project: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    imported(furnace(3, 80))
-    said = capsys.readouterr().out
-    assert "Warning: The log has 3 episodes, but it takes 4 to divide it" in said
-    assert (
-        "Warning: The longest episode has 79 steps, but models that read histories need 80" in said
-    )
-    imported(furnace(4, 81), "replace=true")
-    assert "Warning" not in capsys.readouterr().out
-
-
-def test_a_file_in_another_unit_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cells = furnace(20, 50)
-    half = 500
-    Path("a.csv").write_text(as_csv({n: v[:half] for n, v in cells.items()}), encoding="utf-8")
-    later = {n: v[half:] for n, v in cells.items()}
-    later["gas"] = [f"{float(v) / 60:.4f}" for v in later["gas"]]  # per second
-    Path("b.csv").write_text(as_csv(later), encoding="utf-8")
-    write_schema(project)
-    import_log(load_import_settings(["a.csv", "b.csv", "name=furnace"]))
-    said = re.search(
-        r"Warning: b\.csv, row 2, where this file begins: action 'gas' seems to be in another unit "
-        r"than in a\.csv: its median goes from (\S+) to (\S+) and stays",
-        capsys.readouterr().out,
-    )
-    assert said
-    assert 40 < float(said[1]) < 60  # in the log's units
-    assert 40 < 60 * float(said[2]) < 60
-
-
-def test_a_log_as_it_should_be_has_no_warnings(project: Path) -> None:
-    imported(furnace(20, 90))
-    assert "## What looks wrong\n\nNothing." in Path("logs/furnace/report.md").read_text("utf-8")
-
-
 def test_an_earlier_import_is_replaced_only_on_demand(project: Path) -> None:
     before = imported(furnace()).card.digest
     with pytest.raises(SettingsError, match=r"^logs/furnace is there already; give replace=true"):
@@ -449,130 +324,6 @@ def test_an_import_that_is_interrupted_at_the_end_leaves_nothing_and_the_earlier
             imported(furnace(7), "replace=true")
     assert [path.name for path in (project / "logs").iterdir()] == ["furnace"]
     assert OfflineDataset.open(Path("logs/furnace")).card == before
-
-
-@pytest.mark.parametrize("kind", ["csv", "semicolons", "parquet"])
-def test_a_draft_needs_few_corrections_and_is_never_overwritten(project: Path, kind: str) -> None:
-    cells = {n: v for n, v in furnace().items() if n not in ("gas", "air")}
-    full = furnace()
-    cells |= {"action_gas": full["gas"], "action_air": full["air"], "site": ["Basel"] * 180}
-    log = Path("log.parquet" if kind == "parquet" else "log.csv")
-    if kind == "parquet":
-        table = {
-            n: v if n == "site" else np.array(v, float) for n, v in cells.items() if n != "time"
-        }
-        table["time"] = np.array(cells["time"], "datetime64[s]")
-        pq.write_table(pa.table(table), log)
-    else:
-        log.write_text(as_csv(cells, ";" if kind == "semicolons" else ","), encoding="utf-8")
-    words = [str(log), "name=furnace"]
-    import_log(load_import_settings([*words, "--describe"]))
-    draft = Path("furnace.yaml").read_text(encoding="utf-8")
-    with pytest.raises(SettingsError, match="is there already and is left alone"):
-        import_log(load_import_settings([*words, "describe=true"]))
-    with pytest.raises(SettingsError, match="outcome_row='FILL_IN'"):
-        import_log(load_import_settings(words))
-    assert Path("furnace.yaml").read_text(encoding="utf-8") == draft
-    Path("furnace.yaml").write_text("features: [oxygen]\nactions:\n", encoding="utf-8")
-    with pytest.raises(SettingsError, match=r"furnace\.yaml: actions names none; write NAME:"):
-        import_log(load_import_settings(words))
-    Path("furnace.yaml").write_text(draft.replace("FILL_IN", "after"), encoding="utf-8")
-    described = read_schema(Path("furnace.yaml"))
-    assert described.features == ("temperature", "oxygen")
-    assert list(described.actions) == ["action_gas", "action_air"]
-    assert (described.reward, described.episode, described.time) == ("profit", "run", "time")
-    assert described.sampling == 10
-    assert import_log(load_import_settings(words)) == 0
-
-
-def test_a_draft_of_a_german_file_names_all_that_is_odd_about_it(project: Path) -> None:
-    cells = furnace()
-    cells["time"] = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}" for t in cells["time"]]
-    cells |= {"site": ["Basel"] * 180, "tank": ["1"] * 180, "action_gas": cells.pop("gas")}
-    put("oxygen", 17, "Bad Input")(cells)
-    text = as_csv(
-        {n: [v.replace(".", ",") if n != "time" else v for v in c] for n, c in cells.items()}, ";"
-    )
-    Path("log.csv").write_text(text, encoding="utf-8")
-    words = ["log.csv", "name=furnace"]
-    import_log(load_import_settings([*words, "--describe"]))
-    draft = Path("furnace.yaml").read_text(encoding="utf-8")
-    assert "# Not used:\n#   site: text, e.g. 'Basel'\n#   tank: always 1 in these rows\n" in draft
-    Path("furnace.yaml").write_text(draft.replace("FILL_IN", "after"), encoding="utf-8")
-    described = read_schema(Path("furnace.yaml"))
-    assert described.features == ("temperature", "oxygen", "air")
-    assert (described.delimiter, described.decimal) == (";", ",")
-    assert described.time_format == "%d.%m.%Y %H:%M:%S"
-    assert described.na_values == ("Bad Input",)
-    assert described.sampling == 10
-    assert import_log(load_import_settings([*words, "missing=forward_fill"])) == 0
-
-
-@pytest.fixture
-def minari_folder(project: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(project / "minari"))
-    return project / "minari"
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_minari_dataset_of_others_is_imported_with_a_schema(minari_folder: Path) -> None:
-    environment = gym.make("Pendulum-v1")
-    environment.action_space.seed(0)
-    buffers = []
-    for episode in range(4):
-        buffer = EpisodeBuffer(id=episode, observations=[environment.reset(seed=episode)[0]])
-        acted, rewards = [], []
-        for _ in range(20):
-            acted.append(environment.action_space.sample())
-            seen, reward, *_ = environment.step(acted[-1])
-            buffer.observations.append(seen)
-            rewards.append(float(reward))
-        ends = [False] * 19
-        buffers.append(
-            replace(
-                buffer,
-                observations=np.stack(buffer.observations),
-                actions=np.stack(acted),
-                rewards=rewards,
-                terminations=[*ends, False],
-                truncations=[*ends, True],
-            )
-        )
-    made = minari.create_dataset_from_buffers(
-        "other/pendulum-v0", buffers, env=environment.spec, data_format="hdf5"
-    )
-    words = ["minari:other/pendulum-v0", "name=furnace"]
-    import_log(load_import_settings([*words, "--describe"]))
-    described = read_schema(Path("furnace.yaml"))
-    assert dict(described.actions) == {"action_0": (-2.0, 2.0)}
-    assert described.same_row
-    import_log(load_import_settings(words))
-    log = OfflineDataset.open(Path("logs/furnace"))
-    assert (log.episodes, log.transitions) == (4, 80)
-    for n, episode in enumerate(made.iterate_episodes()):
-        rows = slice(21 * n, 21 * (n + 1))
-        np.testing.assert_array_equal(log.frames[rows], episode.observations.astype(np.float32))
-        steps = slice(20 * n, 20 * (n + 1))
-        np.testing.assert_array_equal(log.rewards[steps], episode.rewards.astype(np.float32))
-        np.testing.assert_allclose(2 * log.actions[steps], episode.actions, atol=1e-6)
-    assert log.card.action_bounds == ((-2.0, 2.0),)
-
-
-def test_our_own_export_comes_back_exactly_and_needs_no_schema(minari_folder: Path) -> None:
-    log = make_log()
-    exported = export_minari(log, minari_folder)
-    import_log(load_import_settings([f"minari:{exported}", "name=mine"]))
-    back = OfflineDataset.open(Path("logs/mine"))
-    assert back.card == log.card
-    for name, array in log.arrays().items():
-        np.testing.assert_array_equal(getattr(back, name), array)
-
-
-def test_an_imported_dataset_comes_back_from_minari_with_its_bounds(minari_folder: Path) -> None:
-    log = imported(furnace())
-    exported = export_minari(log, minari_folder)
-    import_log(load_import_settings([f"minari:{exported}", "name=again"]))
-    assert OfflineDataset.open(Path("logs/again")).card == log.card
 
 
 def test_cards_of_other_datasets_are_as_they_were() -> None:

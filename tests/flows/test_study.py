@@ -128,8 +128,16 @@ def test_lambda_leads_from_the_clone_to_the_best_place(
         raise PipelineError("something was computed again")
 
     monkeypatch.setattr("flows.pipeline.executors.serial.run_group", refuse)
+    capsys.readouterr()
     assert door(monkeypatch, "world", *fixed, *SHORT) == 0
     assert (report / "panels.png").read_bytes() == panels
+    said = capsys.readouterr().out
+    assert (report / "world.md").read_text(encoding="utf-8").splitlines()[0] in said
+
+    # Where nothing has changed it does not even draw, and says the same.
+    monkeypatch.setattr(study, "_write", refuse)
+    assert door(monkeypatch, "world", *fixed, *SHORT) == 0
+    assert capsys.readouterr().out == said
 
 
 @pytest.mark.slow(25)

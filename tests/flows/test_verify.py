@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from flows.verification.orphans import freed_bytes
 from flows.verify import load_verify_settings, verify
 from tests.flows.grid import finished
 from tests.flows.pipeline.toys import node
+from tests.flows.pipeline.tracking.test_mlflow_board import models, rows, sweep
 
 COMMAND = "python -m flows.full_benchmark sweep=first"
 
@@ -327,6 +329,34 @@ def test_runs_without_artifacts_and_files_without_runs(
     assert left == {keys(plan)["source"]}
     assert len(list((store.root / "artifacts").iterdir())) == 2
     assert (store.root / "artifacts" / "models" / "m-1").is_dir()
+    assert run(store) == 0
+    assert "orphan" not in capsys.readouterr().out
+
+
+@pytest.mark.slow(6)
+def test_rows_of_the_leaderboard_go_with_their_artifacts(
+    tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = [
+        node("total", f"sum{n}", log, inputs={"a": node("number", f"source{n}", log, number=n)})
+        for n in range(2)
+    ]
+    store, tracker = ArtifactStore(tmp_path / "mlruns"), MlflowTracker(tmp_path / "mlruns")
+    assert sweep(store.root, tracker, nodes).exit_code == 0
+    SweepRecord.of("first", COMMAND, Plan(nodes)).save(store.root)
+    shutil.rmtree(store.path(nodes[0].key))
+    assert run(store) == 0
+    assert "orphan" not in capsys.readouterr().out, "its sweep will make it again"
+    (store.root / "sweeps" / "first.json").unlink()
+    assert run(store) == 0
+    said = f"of the leaderboard, whose artifact {nodes[0].key} is gone"
+    assert said in capsys.readouterr().out
+    assert (len(rows(tracker)), len(models(tracker))) == (2, 2)
+    assert run(store, "--prune") == 0
+    assert "Orphans: 1 of kind run, 1 of kind row; 2 removed" in capsys.readouterr().out
+    [left] = rows(tracker)
+    assert left.data.tags["key.evaluation"] == nodes[1].key
+    assert [model.tags["key"] for model in models(tracker)] == [nodes[1].inputs["a"].key]
     assert run(store) == 0
     assert "orphan" not in capsys.readouterr().out
 

@@ -1,6 +1,7 @@
 """Logs as the library opens them: names, DataFrames, folders, files, Minari; what is refused."""
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import proximity_bench as pb
 from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.minari_exchange import export_minari
+from proximity_bench.datasets import DoubtfulLogWarning
 from tests.components.synthetic import make_log
 from tests.flows.furnace import SCHEMA, as_csv, furnace, write_schema
 
@@ -146,3 +148,17 @@ def test_arguments_without_use_are_refused(source: Any, options: dict, reason: s
 
 def test_repairs_are_those_of_the_import() -> None:
     assert pb.dataset(missing(), schema=PLAIN, missing="drop_episode").episodes == 5
+
+
+def test_what_looks_wrong_in_a_table_is_warned_of_once(tmp_path: Path) -> None:
+    rows = spoiled()
+    rows["air"] = np.arange(len(rows)) % 3 * 20.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pb.dataset(rows, schema=PLAIN).write(tmp_path / "log")
+    [said] = [one for one in caught if "Action 'air' takes 3 values only" in str(one.message)]
+    assert said.category is DoubtfulLogWarning
+    assert said.filename == __file__  # where the user has asked for the log
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DoubtfulLogWarning)
+        pb.dataset(tmp_path / "log")  # an import has said it before

@@ -7,6 +7,7 @@ const logOf = (dataset) => DATA.logs.find((log) => log.name === dataset);
 const nearest = (grid, value) => grid.reduce((best, x, n) => (Math.abs(x - value) < Math.abs(grid[best] - value) ? n : best), 0);
 
 function drawCurves() {
+  if (chosen.curves === null) return;
   const dataset = chosen.curves, level = logOf(dataset).level;
   const traces = [], ends = [], all = [];
   for (const cell of cellsOf(dataset)) {

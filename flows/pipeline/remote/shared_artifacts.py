@@ -7,6 +7,8 @@ publish     files, `node.json`, then the copy here. Without `node.json` nothing 
 take away   a copy of `node.json` in damaged/KEY, then `node.json` goes, then the files.
 bring       a second folder beside the copy here, compared with its digests, then put in its place.
 
+Where nothing is to be repaired, what is damaged there stays, and `refused` says so.
+
 So a sound copy outlives whatever happens to the shared one, and gives it back. Only one that was
 set aside for being stale must not come back: damaged/KEY/stale.json remembers which.
 """
@@ -38,11 +40,18 @@ class SharedArtifacts(ArtifactStore):
     Attributes:
         url: Of the shared store.
         drives: Whether the driver of a sweep holds it, which keeps a copy of all it has computed.
+        repairs: Whether what is damaged in the shared store is mended or taken away.
         objects: Of the shared store.
     """
 
     def __init__(
-        self, url: str, owner: str = "", *, drives: bool = False, root: Path | None = None
+        self,
+        url: str,
+        owner: str = "",
+        *,
+        drives: bool = False,
+        repairs: bool = True,
+        root: Path | None = None,
     ) -> None:
         """Opens the store, and makes the folder of its copy here.
 
@@ -50,6 +59,7 @@ class SharedArtifacts(ArtifactStore):
             url: Of the shared store.
             owner: Whose claims are made; empty for a store to read.
             drives: See the class.
+            repairs: See the class.
             root: Folder of the copy, if it is another one.
 
         Raises:
@@ -57,7 +67,7 @@ class SharedArtifacts(ArtifactStore):
         """
         super().__init__(root or copy_of(url))
         self.url = url.rstrip("/")
-        self.drives = drives
+        self.drives, self.repairs = drives, repairs
         self.objects = Objects(self.url)
         self._folders = Folders(self.objects, self.root / "arriving")
         self._claims = Claims(self.objects, owner)
@@ -69,7 +79,7 @@ class SharedArtifacts(ArtifactStore):
         """Brings the finished ones of these artifacts here, and mends those of the shared store.
 
         One that is lost or damaged there comes from a sound copy here; without one it is taken
-        away, here and there.
+        away, here and there. Without `repairs`, a damaged one is `refused` and stays.
 
         Raises:
             StoreError: the shared store does not answer.
@@ -79,7 +89,11 @@ class SharedArtifacts(ArtifactStore):
         for key in wanted:
             with self._arriving(key):
                 here, content = self._bring(key, theirs.get(_record(key)))
-                if not here and self._claims.owner:
+                self.refused.pop(key, None)
+                if not here and content is not None and not self.repairs:
+                    where = f"nodes/{key} of {self.url}"
+                    self.refused[key] = f"{where} cannot be used: it is not what was written"
+                elif not here and self._claims.owner:
                     self._mend(key, content)
 
     def publish(self, folder: Path, key: str) -> None:
@@ -169,7 +183,7 @@ class SharedArtifacts(ArtifactStore):
         ours = self._sound_record(key)
         if ours is not None and self.objects.read(f"damaged/{key}/{_STALE}") == ours:
             ours = None
-        if ours is None:
+        if ours is None and self.repairs:
             Artifacts.set_aside(self, key, self.place(key))
         if ours is None and content is None:
             return

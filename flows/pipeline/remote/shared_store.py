@@ -38,7 +38,13 @@ class SharedStore(SharedArtifacts):
     """The copy of a shared store on this machine, see :class:`SharedArtifacts`."""
 
     def __init__(
-        self, url: str, owner: str = "", *, drives: bool = False, root: Path | None = None
+        self,
+        url: str,
+        owner: str = "",
+        *,
+        drives: bool = False,
+        repairs: bool = True,
+        root: Path | None = None,
     ) -> None:
         """Opens the store, and makes the folder of its copy here.
 
@@ -46,12 +52,13 @@ class SharedStore(SharedArtifacts):
             url: Of the shared store.
             owner: Whose claims are made; empty for a store to read.
             drives: Whether the driver of a sweep holds it.
+            repairs: Whether what is damaged in the shared store is mended or taken away.
             root: Folder of the copy, if it is another one.
 
         Raises:
             StoreError: the folder cannot be made, or the protocol is not known.
         """
-        super().__init__(url, owner, drives=drives, root=root)
+        super().__init__(url, owner, drives=drives, repairs=repairs, root=root)
         self._sent: dict[str, str] = {}
         self._groups: set[str] = set()  # of calls that were sent and have not come back
         self._begun: dict[str, Folder] | None = None  # lists of work, as a driver has found them
@@ -274,13 +281,16 @@ class SharedStore(SharedArtifacts):
         self.objects.upload(files)
 
 
-def store_at(folder: Path, *, create: bool = True, drives: bool = False) -> ArtifactStore:
+def store_at(
+    folder: Path, *, create: bool = True, drives: bool = False, repairs: bool = True
+) -> ArtifactStore:
     """The store of a folder, which may be the copy of a shared one.
 
     Args:
         folder: The folder.
         create: Whether to make the folders; those of a copy are always made.
         drives: Whether to drive a sweep in it.
+        repairs: Whether what is damaged in a shared store is mended or taken away.
 
     Raises:
         StoreError: it cannot be made or written.
@@ -288,4 +298,5 @@ def store_at(folder: Path, *, create: bool = True, drives: bool = False) -> Arti
     url = address_of(folder)
     if url is None:
         return ArtifactStore(folder, create=create)
-    return SharedStore(url, secrets.token_hex(8) if drives else "", drives=drives)
+    owner = secrets.token_hex(8) if drives else ""
+    return SharedStore(url, owner, drives=drives, repairs=repairs)

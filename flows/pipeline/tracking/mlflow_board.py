@@ -3,7 +3,7 @@
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 from urllib.parse import quote
 
 from flows.pipeline.plan import Node
@@ -15,7 +15,10 @@ from flows.pipeline.tracking.mlflow_setup import LEADERBOARD
 from flows.pipeline.tracking.mlflow_writes import DIGEST_LENGTH, log_batches, log_datasets
 from flows.pipeline.tracking.redaction import without_secrets
 
-__all__ = ["MlflowBoard"]
+__all__ = ["KEY_OF", "MlflowBoard"]
+
+KEY_OF: Final = "key."
+"""Begins the name of a row's tag with the key of a node behind it; the node's role ends it."""
 
 
 class MlflowBoard:
@@ -93,7 +96,7 @@ class MlflowBoard:
         client, now = self.experiment.client, int(1000 * time.time())
         tags = self.experiment.common | dict(row.tags) | dict(tags)
         tags |= {"role": "row", "mlflow.note.content": row.note}
-        tags |= {f"key.{role}": node.key for role, node in row.nodes.items()}
+        tags |= {f"{KEY_OF}{role}": node.key for role, node in row.nodes.items()}
         tags = {name: without_secrets(text) for name, text in tags.items()}
         # Links of ours end in queries; they come first, because the page folds a long note.
         tags["mlflow.note.content"] = self._links(row.nodes, runs) + tags["mlflow.note.content"]

@@ -163,4 +163,4 @@ def test_what_is_missing_is_said() -> None:
     assert page(evidence(selection=rows, judges=rows)).count("<td>1.50</td>") == 2
     fixed = evidence()
     cells = {pair: cell for pair, cell in fixed.cells.items() if not cell.adapts}
-    assert "No policy of this sweep takes a proximity" in page(replace(fixed, cells=cells))
+    assert "No policy that was tried takes a proximity" in page(replace(fixed, cells=cells))

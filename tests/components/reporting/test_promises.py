@@ -4,7 +4,7 @@ import pytest
 
 from components.reporting.judged import JudgedLog, Returns
 from components.reporting.judged_page import judged_content, judged_data, judged_page
-from components.reporting.promises import Promise, promise
+from components.reporting.promises import Promise, brief, promise
 from tests.components.reporting.judged import NAN, TIMID, Rows, found, judged, log, without_ensemble
 
 
@@ -195,3 +195,15 @@ def test_text_of_users_stays_text() -> None:
     text = judged_page(judged(logs=[hostile], sweeps={evil: evil}, notes=[evil], budget=evil))
     assert "<img" not in text
     assert text.count("&lt;img src=x onerror=alert(1)&gt;") > 8
+
+
+def test_a_terminal_gets_the_headline_and_the_beginning() -> None:
+    doubted = log(doubts=["timid: do not trust the gains there."])
+    for given, warned in ((log(), bool(promise(log()).warnings)), (doubted, True)):
+        head, first, *others = brief(given)
+        said = promise(given)
+        assert said.headline in head
+        assert first == f"What to try first. {' '.join(said.first)}"
+        assert others == ["The page says what speaks against it."] * warned
+    [head] = brief(log(choices=[]))
+    assert "Not judged yet" in head

@@ -117,6 +117,19 @@ def test_leaving_the_log_is_warned_of_and_a_setpoint_is_demanded(address: str) -
         expect(page.locator(".clock")).to_contain_text("episode 1", timeout=LONG)
 
 
+def test_a_setpoint_outlives_the_choice_of_another_policy(address: str) -> None:
+    with operating(address, "turbine") as visit:
+        page, setpoint = visit.page, visit.page.get_by_label("setpoint")
+        setpoint.fill("55")
+        for other in ("world", HTML):  # without a setpoint, and with one
+            page.locator(".choice").click()
+            page.locator(".q-menu").get_by_text(other, exact=other == HTML).first.click()
+            expect(setpoint).to_be_visible(visible=other == HTML, timeout=LONG)
+        expect(setpoint).to_have_value("55")
+        before = steps(page)
+        wait_for(lambda: steps(page) > before + 5, "the machine to run")
+
+
 def test_windows_do_not_disturb_each_other_and_a_closed_one_is_forgotten(address: str) -> None:
     wait_for(lambda: windows(address) == 0, "the windows of other tests to be forgotten")
     with operating(address, "world") as first:

@@ -172,6 +172,17 @@ def test_another_selection_or_title_is_another_report(sweep: Sweep) -> None:
     assert sweep.written == 4
 
 
+def test_another_ranking_is_another_report(sweep: Sweep) -> None:
+    sweep.report()
+    ranking = sweep.folder.parent / "ranked" / "ranking.csv"
+    ranking.parent.mkdir()
+    for number, guess in enumerate((0.1, 0.2)):
+        ranking.write_text(f"dataset,proximity_from\nplant,{guess}\n", encoding="utf-8")
+        sweep.report()
+        sweep.report()
+        assert sweep.written == 2 + number
+
+
 @pytest.mark.parametrize("what", ["source", "settings", "library"])
 def test_other_code_is_another_report(
     sweep: Sweep, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str

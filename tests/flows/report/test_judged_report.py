@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from components.core.files import read_json, write_json
 from components.reporting.judged_page import JUDGED_PARTS
-from components.reporting.promises import promise
+from components.reporting.promises import brief, promise
 from flows import import_log
 from flows.configuration import composition
 from flows.configuration.checking import SettingsError
@@ -114,6 +114,10 @@ def test_its_numbers_are_those_of_the_sweeps_own_tables(own: Own, tmp_path: Path
     shown = current_report(tmp_path / "report", own.plan, own.store)
     assert shown.has_page
     assert shown.table is None
+    [judged] = gather_judged(own.store, ["own"]).logs
+    for line in brief(judged):
+        assert line in shown.below
+        assert line in (tmp_path / "report" / "results.md").read_text(encoding="utf-8")
     assert door(f"store={own.store.root}", f"out={tmp_path}") == 0
     policies = pd.read_parquet(tmp_path / "policies.parquet")
     assert len(policies) == 2 * (1 + 11)  # seeds, policies without λ and with the judges' grid
@@ -242,6 +246,29 @@ def test_in_a_sweep_of_both_kinds_judged_logs_are_a_part_of_the_page(
         assert visit.page.locator("#judged .card h3").all_inner_texts() == ["furnace"]
         assert visit.page.locator("#verdicts .card h3").all_inner_texts() == ["bad-0.4"]
         assert visit.page.locator("#figure-judged-0 .main-svg").count()
+        assert visit.complaints == []
+
+
+@pytest.mark.slow(8)
+@pytest.mark.parametrize("gone", [("aggregate/",), ("",)])
+def test_a_sweep_of_both_kinds_has_a_page_before_anything_is_tried(
+    own: Own, tmp_path: Path, capsys: pytest.CaptureFixture[str], gone: tuple[str, ...]
+) -> None:
+    chosen = ("datasets=[furnace,bad-0.4]", "algorithms=[bc]", "seeds=[0,1]")
+    plan = benchmark_plan(load_settings((*BUDGETS, *chosen)))
+    root = partial_store(own, tmp_path, *gone)
+    SweepRecord.of("both", "python -m both", plan).save(root)
+    for kind in ("html", "markdown", "latex"):
+        assert door(f"store={root}", "sweep=both", f"out={tmp_path}", f"format={kind}") == 0
+    assert "0 of 1 cells of the table are finished." in capsys.readouterr().out
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "## Logs without a real system" in text
+    assert "- bc on bad-0.4: 0 of 2 seeds evaluated" in text
+    assert ("0 of 2 seeds judged" in text) == (gone == ("",))
+    with visited((tmp_path / "report.html").as_uri()) as visit:
+        visit.page.wait_for_selector("body[data-ready]")
+        assert "0 of 2 seeds evaluated" in visit.page.inner_text("body")
+        assert visit.page.locator("#judged .card h3").all_inner_texts() == ["furnace"]
         assert visit.complaints == []
 
 

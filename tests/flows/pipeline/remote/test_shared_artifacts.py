@@ -34,9 +34,12 @@ class Twins:
         self._place = self._folder / str(next(self._number))
         self.objects = Objects(f"file://{self._place}/shared")
 
-    def store(self, name: str, *, owner: str = "us", drives: bool = False) -> SharedStore:
+    def store(
+        self, name: str, *, owner: str = "us", drives: bool = False, repairs: bool = True
+    ) -> SharedStore:
         """The store as a process on the machine of this name opens it."""
-        store = SharedStore(self.objects.url, owner, drives=drives, root=self._place / name)
+        place = self._place / name
+        store = SharedStore(self.objects.url, owner, drives=drives, repairs=repairs, root=place)
         store._claims._pause = lambda seconds: pytest.fail("nobody may have to wait")
         return store
 
@@ -51,6 +54,11 @@ class Twins:
                 self.objects.write(f"nodes/{A}/other", b"damage".ljust(LARGE))
             case "file lost":
                 self.objects.delete([f"nodes/{A}/other"])
+
+    def content(self, *folders: str) -> dict[str, bytes]:
+        """All files below these."""
+        found = (file for folder in folders for file in (self._place / folder).rglob("*"))
+        return {str(file): file.read_bytes() for file in found if file.is_file()}
 
     def look(self) -> str | None:
         """What another machine finds, which may be nothing but never half of something."""
@@ -173,6 +181,44 @@ def test_a_sound_copy_outlives_and_mends_the_shared_one(
         act(opened())
         assert text_of(twins.store("here")) == "first"
         assert twins.look() == (None if role == "reader" else "first")
+
+
+@pytest.mark.parametrize("damage", ["record", "file", "file lost"])
+@pytest.mark.parametrize("role", ["driver", "worker", "reader"])
+@pytest.mark.parametrize("copy", ["none", "damaged"])
+def test_who_repairs_nothing_names_what_is_damaged_and_leaves_it(
+    twins: Twins, damage: str, role: str, copy: str
+) -> None:
+    published(twins.store("elsewhere"), "first")
+    here = twins.store("here", owner="" if role == "reader" else "us", repairs=False)
+    here.drives = role == "driver"
+    here._mends = role != "reader"
+    if copy == "damaged":
+        here.fetch([A])
+        (here.path(A) / "other").write_text("too short", encoding="utf-8")
+    twins.damage(damage)
+    before = twins.content("shared", "here/nodes")
+    here.fetch([A])
+    assert here.refused[A].startswith(f"nodes/{A} of {twins.objects.url} cannot be used")
+    assert twins.content("shared", "here/nodes") == before
+    assert not here.damaged.exists()
+    published(twins.store("third"), "again")  # by somebody who repairs
+    here.fetch([A])
+    assert not here.refused
+    assert text_of(here) == "again"
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_who_repairs_nothing_still_gives_back_what_was_lost(twins: Twins, sound: bool) -> None:
+    published(twins.store("here"), "first")
+    twins.damage("lost")
+    here = twins.store("here", repairs=False)
+    if not sound:
+        (here.path(A) / "other").write_text("too short", encoding="utf-8")
+    here.fetch([A])
+    assert not here.refused
+    assert twins.listed() == sound
+    assert here.path(A).is_dir()  # where a plan finds the damage
 
 
 def test_a_copy_stays_until_the_other_one_has_come(twins: Twins) -> None:

@@ -25,6 +25,7 @@ from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.tracker import NullTracker
+from flows.pipeline.worker import GroupCall, run_group
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
 
 A, B, C = (letter * 32 for letter in "abc")
@@ -354,6 +355,36 @@ def test_an_input_made_again_to_other_bytes_makes_all_stores_doubt(
     assert found.finished == {n.key for n in plan}
     (last,) = (n for n in plan if n.name == "sum")
     assert read_json(here.path(last.key) / "value.json") == 2.0
+
+
+def test_damage_that_only_the_shared_store_has_is_refused_where_that_is_wanted(
+    url: str, on: Elsewhere, log: Path
+) -> None:
+    source = node("number", "source", log, number=1)
+    plan = Plan([node("total", "sum", log, {"a": source})])
+    (last,) = (n for n in plan if n.name == "sum")
+    on("here")
+    run(store_at(copy_of(url), drives=True), plan)
+    objects = Objects(url)
+    for damaged in (source, last):
+        objects.write(f"nodes/{damaged.key}/node.json", b"{")
+    on("elsewhere")
+    said = f"nodes/{source.key} of {url} cannot be used: it is not what was written"
+    there = store_at(copy_of(url), drives=True, repairs=False)
+    with pytest.raises(StoreError, match=r"\(1 more like it\); runner\.repair=refuse leaves"):
+        audit(plan, there).refuse()
+    display, executor = Display(), SerialExecutor()
+    with there.driven("sweep"), pytest.raises(StoreError, match=f"{said}, of toys source"):
+        run_plan(plan, there, NullTracker(), display, executor=executor, repairs=False)
+    # What is damaged after the plan was made, a worker finds.
+    call = there.sent(GroupCall.of("sum", there.root, [last], repairs=False))
+    assert "is not what was written; runner.repair=recomp" in run_group(call).failed[last.key]
+    objects.delete(objects.sizes(f"nodes/{last.key}"))
+    assert run_group(call).damaged == {source.key: said}
+    assert objects.read(f"nodes/{source.key}/node.json") == b"{"
+    assert not objects.sizes("damaged")
+    again = run(store_at(copy_of(url), drives=True), plan)
+    assert (again.exit_code, len(again.finished)) == (0, 2)
 
 
 def test_only_one_machine_drives_a_sweep(url: str, on: Elsewhere) -> None:
