@@ -14,13 +14,17 @@ from typing import Any, Final
 
 from flows.pipeline.plan import Node
 
-__all__ = ["RULES", "CostModel", "Measurement", "kind_of"]
+__all__ = ["BOOKKEEPING", "RULES", "CostModel", "Measurement", "kind_of"]
 
 RULES: Final = 2
 """Of the costs of plans; raise it when they change, since a record's time relates to its cost."""
 
 _LEAST: Final = 1.0
-"""Cost of a call that tells a pace: the time of less work is that of its beginning and end."""
+"""Cost of a call that tells a pace: the time of less work is that of its beginning and end, which
+says what to expect of other calls whose pace is unknown."""
+
+BOOKKEEPING: Final = 0.035
+"""Core-seconds in which the driver hands out, records and logs a node, see docs/speed.md."""
 
 _NEWEST: Final = 50  # measurements that count: they come from code and load most like the present
 
@@ -41,7 +45,7 @@ class Measurement:
         model: Of the processor or GPU; empty if unknown.
         lanes: Nodes in the call.
         cost: Planned, of all of them.
-        seconds: In proportion to the cost.
+        seconds: In proportion to the cost; 0 if there was next to nothing to do.
         overhead: Further ones.
     """
 
@@ -58,16 +62,13 @@ class Measurement:
     def of_record(cls, record: Mapping[str, Any]) -> "Measurement | None":
         """What the `node.json` of a finished node tells about its call, if it can be used.
 
-        None of a call that was continued after a kill, that was planned by other rules, that had
-        next to nothing to do, or that took less than no time, as older stores have it of computers
-        whose clock was set back. Time in which a call waited for a processor that other programs
-        used does not count.
+        None of a call that was continued after a kill, that was planned by other rules, or that
+        took less than no time, as older stores have it of computers whose clock was set back. Time
+        in which a call waited for a processor that other programs used does not count.
         """
         if record.get("cost_rules") != RULES or record.get("resumed") or not record.get("cost"):
             return None
         share = float(record["share"])
-        if float(record["cost"]) / share < _LEAST:
-            return None
         whole = float(record["seconds"]) / share
         device = record.get("device", "cpu")
         busy = 1.0
@@ -77,6 +78,8 @@ class Measurement:
         seconds = whole if steady is None else min(float(steady), whole)
         if whole < 0.0 or seconds <= 0.0:
             return None
+        if float(record["cost"]) / share < _LEAST:
+            seconds = 0.0
         return cls(
             component=record["component"],
             kind=kind_of(record.get("tags", {})),
@@ -104,6 +107,7 @@ class CostModel:
         """
         self.device, self._model = device, model
         self._found: dict[tuple[str, str], list[Measurement]] = {}
+        self._small: dict[str, list[float]] = {}  # overheads of calls that tell no pace
         self._rates: dict[tuple[str, str, int], tuple[float, float]] = {}
         for record in records:
             self.learn(record)
@@ -130,10 +134,14 @@ class CostModel:
 
     def add(self, measurement: Measurement) -> None:
         """Learns from one call, if it ran on such a device."""
-        if measurement.device == self.device:
+        if measurement.device != self.device:
+            return
+        if measurement.seconds:
             name = measurement.component, measurement.kind
             self._found.setdefault(name, []).append(measurement)
-            self._rates.clear()
+        else:
+            self._small.setdefault(measurement.component, []).append(measurement.overhead)
+        self._rates.clear()
 
     def knows(self, component: str, kind: str) -> bool:
         """Whether such a node has been measured itself, not only others of its component."""
@@ -160,7 +168,8 @@ class CostModel:
         if not self.knows(component, kind):
             kinds = [other for of, other in self._found if of == component]
         if not kinds:
-            return 0.0, 1.0
+            small = self._small.get(component, [])[-_NEWEST:]
+            return median(small) if small else 0.0, 1.0
         measured = [self._newest(component, other) for other in kinds]
         # of several kinds each counts once, however often it was measured
         overhead = median(median(m.overhead for m in several) for several in measured)

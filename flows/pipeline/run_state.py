@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from flows.pipeline.computer import device_model
-from flows.pipeline.costs import CostModel
+from flows.pipeline.costs import BOOKKEEPING, CostModel
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.schedule import Group, simulate_schedule
 from flows.pipeline.store import ArtifactStore
@@ -180,7 +180,10 @@ class RunState:
     def remaining(self) -> dict[str, float]:
         """Seconds until each component is done, for those that are not."""
         now = time.monotonic()
-        seconds = {name: self._rest(name, group, now) for name, group in self._left.items()}
+        seconds = {
+            name: self._rest(name, group, now) + BOOKKEEPING * len(group.nodes)
+            for name, group in self._left.items()
+        }
         ends = simulate_schedule(self._left.values(), seconds, self.slots, self._running)
         last: dict[str, float] = {}
         for name, end in ends.items():

@@ -110,7 +110,8 @@ def cost_model(
     for m in filter(counts, nodes):
         learned.add(m)
         overheads.setdefault(m.component, []).append(m.overhead)
-        numbers[m.component, m.kind] = numbers.get((m.component, m.kind), 0) + 1
+        if m.seconds:
+            numbers[m.component, m.kind] = numbers.get((m.component, m.kind), 0) + 1
     sources |= {name: f"{number} finished" for name, number in numbers.items()}
     known = set(sources)
     for m in rates:

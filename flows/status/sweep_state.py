@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from components.core.files import read_json
-from flows.pipeline.costs import CostModel
+from flows.pipeline.costs import BOOKKEEPING, CostModel
 from flows.pipeline.driver import DriverRecord, is_alive, read_driver
 from flows.pipeline.plan import Plan
 from flows.pipeline.schedule import form_groups, simulate_schedule
@@ -194,4 +194,5 @@ def _remaining(
         else:
             reached = min(begun.get(key, 0.0) for key in group.keys)
             seconds[group.name] = costs.seconds(group.nodes) * (1.0 - reached)
+        seconds[group.name] += BOOKKEEPING * len(group.nodes)
     return max(simulate_schedule(groups, seconds, slots, started).values(), default=None)

@@ -60,11 +60,20 @@ def test_outliers_do_not_move_it_and_old_times_go() -> None:
         {"cost_rules": RULES - 1},
         {"seconds": -3600.0},
         {"cost": 0.0},
-        {"cost": 0.001},  # of a log of a few rows: 7 seconds for it are no pace
     ],
 )
 def test_what_is_no_measurement_teaches_nothing(changed: dict[str, Any]) -> None:
     assert not CostModel([record("total", 4.0) | changed]).measured
+
+
+def test_next_to_nothing_tells_what_a_call_takes_and_no_pace() -> None:
+    small = [record("total", seconds, cost=0.001) for seconds in (6.0, 7.0, 8.0)]
+    costs = CostModel(small)
+    assert not costs.measured
+    assert costs.seconds(nodes("number", 0.1, 3.0)) == 10.1  # one call of 7, and the plan's word
+    assert costs.seconds(nodes("number", 3.0, component="new")) == 3.0
+    costs.learn(record("total", 10.0, steady_seconds=4.0))
+    assert costs.seconds(nodes("number", 2.0)) == 10.0, "a pace that was measured comes first"
 
 
 def test_time_in_which_others_had_the_processor_does_not_count() -> None:
