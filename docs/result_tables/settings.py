@@ -15,6 +15,9 @@ _HAPPENS: Final = 0.6
 _PACE: Final = (5, 10, 20, 50, 100)
 """Iterations of WSBC that are shown."""
 
+_ON_THE_WAY: Final = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
+"""Shares of MOOSE's updates that are shown."""
+
 _CHOSEN_ON: Final = ("bad-0.4", "mediocre-0.2", "optimized-0.6")
 """The datasets on which the limit was chosen."""
 
@@ -65,6 +68,18 @@ def bad_alone() -> str:
     )
     heads = ["seeds", "held-out error", "10th percentile, best λ", "mean there", "at λ = 1"]
     return table_of(["changed", *heads], rows)
+
+
+def autoencoder() -> str:
+    """One row per run of MOOSE from a clone of Hopper's log: real returns on the way."""
+    table = pd.read_csv(DATA / "moose-autoencoder-2026-11.csv")
+    rows = []
+    for (epochs, updates, seed), own in table.groupby(["epochs", "updates", "seed"], sort=True):
+        returns = own.sort_values("update")["return"].to_numpy()
+        cells = [f"{returns[round(len(returns) * share) - 1]:.1f}" for share in _ON_THE_WAY]
+        rows.append([f"{epochs}", f"{updates}", f"{seed}", *cells])
+    heads = [f"{share:.0%}" for share in _ON_THE_WAY]
+    return table_of(["autoencoder's epochs", "updates", "seed", *heads], rows)
 
 
 def pace() -> str:
