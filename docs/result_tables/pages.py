@@ -44,6 +44,8 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "beta": lambda: settings.study("figure-6.10"),
     "ensemble": lambda: settings.study("figure-6.11"),
     "eta": settings.chosen_blind,
+    "dials": settings.dials,
+    "dials_means": settings.dials_means,
 }
 
 

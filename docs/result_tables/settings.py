@@ -18,6 +18,9 @@ _PACE: Final = (5, 10, 20, 50, 100)
 _ON_THE_WAY: Final = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of MOOSE's updates that are shown."""
 
+_DIALS: Final = {"lion": "LION", "lambda_td3_bc": "λ-TD3+BC", "rvs": "RvS", "mopo": "MOPO"}
+"""Policies with a dial, by name."""
+
 _CHOSEN_ON: Final = ("bad-0.4", "mediocre-0.2", "optimized-0.6")
 """The datasets on which the limit was chosen."""
 
@@ -34,6 +37,37 @@ def study(name: str) -> str:
     """The table of a study, as `python -m flows.study` prints it."""
     table = pd.read_csv(DATA / "studies-2026-11" / f"{name}.csv")
     return markdown(table, decimals(table))
+
+
+def dials() -> str:
+    """One row per log: peak, area and zigzag of the curves of all policies with a dial."""
+    table = _dials()
+    wide = table.pivot(index="dataset", columns="algorithm")
+    rows = []
+    for log in dict.fromkeys(table["dataset"]):
+        own = ((wide.loc[log, (of, name)] for of in ("peak", "area", "zigzag")) for name in _DIALS)
+        rows.append([log, *(" / ".join(f"{value:.1f}" for value in cell) for cell in own)])
+    return table_of(["dataset", *_DIALS.values()], rows)
+
+
+def dials_means() -> str:
+    """One row per policy with a dial: means over the logs, and on how many it is the best."""
+    table = _dials()
+    columns = ["first", "peak", "area", "greatest fall", "zigzag", "first drop"]
+    means = table.groupby("algorithm")[columns].mean()
+    best = {
+        of: table.loc[table.groupby("dataset")[of].idxmax(), "algorithm"].value_counts()
+        for of in ("peak", "area")
+    }
+    rows = []
+    for name, shown in _DIALS.items():
+        counts = [f"{best[of].get(name, 0)}" for of in ("peak", "area")]
+        rows.append([shown, *(f"{means.loc[name, column]:.1f}" for column in columns), *counts])
+    return table_of(["", *columns, "best peak on", "best area on"], rows)
+
+
+def _dials() -> pd.DataFrame:
+    return pd.read_csv(DATA / "studies-2026-11" / "dials.csv")
 
 
 def chosen_blind() -> str:
