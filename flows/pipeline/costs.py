@@ -24,7 +24,8 @@ _LEAST: Final = 1.0
 says what to expect of other calls whose pace is unknown."""
 
 BOOKKEEPING: Final = 0.035
-"""Core-seconds in which the driver hands out, records and logs a node, see docs/speed.md."""
+"""Core-seconds in which the driver hands out, records and logs a node, rounded up from those in
+docs/speed.md."""
 
 _NEWEST: Final = 50  # measurements that count: they come from code and load most like the present
 
