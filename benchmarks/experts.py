@@ -24,7 +24,8 @@ from benchmarks.measure import computer, markdown, median_seconds
 from components.core.random_streams import lane_key
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import ROBOTS
-from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.config import ExpertConfig
+from components.experts.online import OnlineLearner
 from components.experts.replay import Replay
 from components.experts.training import without_denormals
 from components.training.memory import keep_freed_memory
@@ -127,7 +128,7 @@ class EagerDDPG:
 
 def lanes_program(
     config: ExpertConfig, robot: str, seeds: Sequence[int], folder: Path
-) -> OnlineDDPG:
+) -> OnlineLearner:
     """Our learner as training makes it, with one lane per seed and its files in a folder."""
     robots = Robots(ROBOTS[robot], len(seeds), "v3")
     widths = len(robots.frame_features), len(robots.action_features)
@@ -135,7 +136,7 @@ def lanes_program(
     files = [folder / f"{len(seeds)}-lanes-{seed}" for seed in seeds]
     replay = Replay(len(seeds), config.steps, *widths, device, files)
     keys = [lane_key("expert", robot, seed) for seed in seeds]
-    return OnlineDDPG(config, keys, robots, replay, device)
+    return OnlineLearner(config, keys, robots, replay, device)
 
 
 def _further(update: Callable[[int], object], warm_up: int, steps: int) -> Callable[[], None]:

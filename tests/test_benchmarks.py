@@ -34,7 +34,7 @@ from components.data.sources.industrial import IndustrialSpec
 from components.data.sources.source import generate
 from components.environments.mujoco.specifications import HOPPER
 from components.evaluation.protocol import EvaluationProtocol
-from components.experts.online import ExpertConfig
+from components.experts.config import ExpertConfig
 from components.models.recurrent_ensemble.ensemble import RecurrentEnsembleConfig
 from components.models.transition.model_environment import DynamicsSpecification
 
@@ -132,7 +132,7 @@ def test_the_eager_peer_of_the_experts_computes_the_same_update(tmp_path: Path) 
         ours.update(step)
         eager.step()
     assert eager.count == 50
-    learner = ours._ddpg
+    learner = ours._learner
     pairs = (
         (eager.actor, learner._actor),
         (eager.critic, learner._critic.stack),

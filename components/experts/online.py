@@ -1,13 +1,9 @@
-"""Online DDPG: every lane has one environment, one replay memory and one learner.
+"""Online training: every lane has one environment, one replay memory and one learner.
 
 In every environment step each lane acts (uniformly at random in the first steps, then by its policy
 with Gaussian noise) and stores the transition. Once it acts by its policy, it also makes one update
 on a batch drawn uniformly from the replay memory. An episode ends with a fall, which is terminal,
 or at the time limit, which is not.
-
-Settings are those of the "DDPG" of Fujimoto et al., "Off-Policy Deep Reinforcement Learning without
-Exploration" (2019), whose imperfect demonstrations the thesis's robot data follow; the update is
-that of :class:`components.algorithms.ddpg.ActorCritic`, on frames as the system gives them.
 
 On a GPU the update is a CUDA graph; the step of the system, which runs on the host and needs an
 action from the device every time, is not: a dozen launches, a copy to and one from the device, by
@@ -20,7 +16,6 @@ repeats the current episode from its start with the stored actions, which gives 
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,10 +23,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from components.algorithms import ddpg
-from components.core.draws import Normal, Uniform, UniformDouble
+from components.core.draws import Normal, Uniform
 from components.core.random_streams import LaneStreams, lane_generator, lane_key
+from components.experts.config import ExpertConfig
 from components.experts.replay import Replay
+from components.experts.replayed import replayed_learner
 from components.networks import StackedMLP
 from components.training.cuda_graphs import graphed
 from components.training.state import module_state, with_prefix
@@ -39,94 +35,13 @@ from components.training.state import module_state, with_prefix
 if TYPE_CHECKING:  # MuJoCo is slow to import, and plans read settings alone
     from components.environments.mujoco.robots import Robots
 
-__all__ = ["ExpertConfig", "OnlineDDPG"]
+__all__ = ["OnlineLearner"]
 
 Mask = npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExpertConfig:
-    """How an expert is trained."""
-
-    steps: int = 1_000_000  # environment steps
-    random_steps: int = 25_000  # of these uniformly random, before the first update
-    exploration: float = 0.1  # deviation of the noise on the policy's actions
-    horizon: int = 1000  # time limit of an episode, in steps
-    evaluate_every: int = 5000  # steps
-    episodes: int = 10  # of an evaluation
-    hidden: tuple[int, ...] = (400, 300)  # layers of actor and critic
-    learning_rate: float = 1e-3  # Adam, actor and critic
-    batch: int = 100  # transitions per update
-    discount: float = 0.99  # gamma
-    target_rate: float = 0.005  # tau
-
-    def __post_init__(self) -> None:
-        """Reject values outside their range.
-
-        Raises:
-            ValueError: Naming the field and its range.
-        """
-        if min(self.steps, self.horizon, self.evaluate_every, self.episodes) < 1:
-            raise ValueError("steps, horizon, evaluate_every and episodes must be at least 1.")
-        if not 1 <= self.random_steps <= self.steps:
-            raise ValueError(
-                f"random_steps is {self.random_steps}; give a number from 1 to steps={self.steps}."
-            )
-        if self.evaluate_every > self.steps:
-            raise ValueError(
-                f"evaluate_every={self.evaluate_every} is more than steps={self.steps}: no policy "
-                "would be evaluated; lower it."
-            )
-        if self.exploration < 0:
-            raise ValueError(f"exploration is {self.exploration}; give a number from 0.")
-        _ = self.learner
-
-    @property
-    def learner(self) -> ddpg.Config:
-        """The settings of the update."""
-        return ddpg.Config(
-            updates=self.steps,
-            hidden=self.hidden,
-            learning_rate=self.learning_rate,
-            batch=self.batch,
-            discount=self.discount,
-            target_rate=self.target_rate,
-        )
-
-
-class _ReplayedDDPG(ddpg.ActorCritic):
-    """The update on transitions drawn from a replay memory.
-
-    Args:
-        config: Settings.
-        keys: One random stream per lane.
-        replay: The memory.
-        widths: Of an observation and of an action.
-        device: Where to learn.
-    """
-
-    updates_per_graph = 1
-
-    def __init__(
-        self,
-        config: ExpertConfig,
-        keys: Sequence[int],
-        replay: Replay,
-        widths: tuple[int, int],
-        device: torch.device,
-    ) -> None:
-        super().__init__(config.learner, keys, *widths, device)
-        self._replay = replay
-        self._streams = LaneStreams(keys, {"row": UniformDouble(config.batch)}, device)
-
-    def update(self, step: int) -> dict[str, Tensor]:
-        """One update on transitions drawn uniformly from all that there are."""
-        index = (self._streams.at(step)["row"] * self._replay.filled).long()
-        return self.learn(self._replay.batch(index))
-
-
-class OnlineDDPG:
-    """L DDPG learners that collect their own transitions.
+class OnlineLearner:
+    """L learners that collect their own transitions.
 
     Args:
         config: Settings.
@@ -148,9 +63,9 @@ class OnlineDDPG:
         self._config, self._keys, self._device = config, list(keys), device
         self._robots, self._replay = robots, replay
         widths = len(robots.frame_features), len(robots.action_features)
-        self._ddpg = _ReplayedDDPG(config, keys, replay, widths, device)
-        self._learning = graphed(self._ddpg, device)
-        self._best = copy.deepcopy(self._ddpg.actor).requires_grad_(False)
+        self._learner = replayed_learner(config, keys, replay, widths, device)
+        self._learning = graphed(self._learner, device)
+        self._best = copy.deepcopy(self._learner.actor).requires_grad_(False)
         self._best_return = torch.full((self.lanes,), -torch.inf, dtype=torch.float64)
         self._best_step = torch.zeros(self.lanes, dtype=torch.int64)
         self._streams = LaneStreams(
@@ -179,7 +94,7 @@ class OnlineDDPG:
     @torch.no_grad()
     def _noisy_actions(self, noise: Tensor) -> Tensor:
         frames = torch.from_numpy(self._frames).float().to(self._device)
-        wanted = torch.tanh(self._ddpg.actor(frames[:, None])).squeeze(1)
+        wanted = torch.tanh(self._learner.actor(frames[:, None])).squeeze(1)
         noisy = (wanted + self._config.exploration * noise).clamp_(-1.0, 1.0)
         return noisy.nan_to_num_()  # a diverged lane must not make the simulations unstable
 
@@ -212,7 +127,7 @@ class OnlineDDPG:
     @property
     def actor(self) -> StackedMLP:
         """The current policies' networks; the action is the tanh of their output."""
-        return self._ddpg.actor
+        return self._learner.actor
 
     @property
     def best(self) -> StackedMLP:
@@ -253,7 +168,7 @@ class OnlineDDPG:
     def state_dict(self) -> dict[str, Tensor]:
         """All that the next update depends on except the transitions, which are in files."""
         return {
-            **self._ddpg.state_dict(),
+            **self._learner.state_dict(),
             **module_state({"best": self._best}),
             "best_return": self._best_return,
             "best_step": self._best_step,
@@ -269,7 +184,7 @@ class OnlineDDPG:
         Raises:
             DamagedFileError: The files hold other transitions than those the state counts.
         """
-        self._ddpg.load_state_dict(state)
+        self._learner.load_state_dict(state)
         self._best.load_state_dict(with_prefix("best", state))
         self._best_return = state["best_return"].clone()
         self._best_step = state["best_step"].clone()

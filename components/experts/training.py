@@ -18,8 +18,9 @@ import torch
 from components.core.normaliser import Normaliser
 from components.core.random_streams import lane_generator, lane_key
 from components.environments.mujoco.robots import Robots
+from components.experts.config import ExpertConfig
 from components.experts.episodes import episode_rewards
-from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.online import OnlineLearner
 from components.experts.replay import Replay
 from components.networks import StackedMLP
 from components.policies.policy import Policy, PolicyCard
@@ -66,7 +67,7 @@ def train_experts(
     widths = len(robots.frame_features), len(robots.action_features)
     files = [work / f"{member}.transitions" for member in members]
     replay = Replay(len(keys), config.steps, *widths, device, files)
-    learner = OnlineDDPG(config, keys, robots, replay, device)
+    learner = OnlineLearner(config, keys, robots, replay, device)
 
     def evaluate(done: int, curves: Curves) -> bool:
         starts = [

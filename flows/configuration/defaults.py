@@ -10,7 +10,7 @@ from typing import Any
 
 from components.algorithms import ALGORITHMS
 from components.evaluation.protocol import EvaluationProtocol
-from components.experts.online import ExpertConfig
+from components.experts.config import ExpertConfig
 from components.judging.config import JudgeConfig
 from components.models import MODELS
 from components.models.action_stochasticity import StochasticityConfig

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 from typing_extensions import TypedDict
 
 from components.data.sources.robots import ROBOTS
-from components.experts.online import ExpertConfig
+from components.experts.config import ExpertConfig
 from components.judging.config import JudgeConfig
 from components.models.action_stochasticity import StochasticityConfig
 from flows.configuration.checking import SettingsError, StrictModel, hint

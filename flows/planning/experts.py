@@ -1,7 +1,6 @@
 """From settings to the plan of expert training: one node per robot and seed, and a choice."""
 
-from dataclasses import asdict
-
+from components.core.options import identity
 from components.environments.mujoco.specifications import ROBOTS
 from flows.configuration.settings import Settings
 from flows.pipeline.plan import Node, Plan
@@ -23,7 +22,7 @@ def expert_plan(settings: Settings) -> Plan:
         shared = {
             "robot": robot,
             "physics": experts.physics,
-            "training": jsonable(asdict(experts.training)),
+            "training": jsonable(identity(experts.training)),
             **simulated_on(ROBOTS[robot].id),
         }
         trained = {

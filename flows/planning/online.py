@@ -40,12 +40,17 @@ def _of_dataset(settings: Settings, dataset: str) -> Iterator[Node]:
     )
     trained = expert_plan(settings.model_copy(update={"experts": experts})).by_component()
     training = settings.experts.training
+    if not isinstance(training.learner, ddpg.Config):
+        raise SettingsError(
+            "DDPG online is compared with DDPG offline, but experts.training.method="
+            f"{training.method}; leave it at ddpg."
+        )
     whole = EvaluationProtocol(trajectories=training.episodes, horizon=training.horizon)
     counted = settings.model_copy(
         update={"evaluation": whole, "dataset": {dataset: replace(source, discount=1.0)}}
     )
     updates = max(training.steps - training.random_steps, settings.training.snapshots)
-    learner: ddpg.Config = replace(training.learner, updates=updates)
+    learner = replace(training.learner, updates=updates)
     sizes = data_sizes(source)
     for node in trained["expert_training"]:
         online = replace(node, config={**node.config, "keeps_transitions": True})

@@ -27,8 +27,8 @@ from components.data.sources.robots import RobotSpec
 from components.environments.mujoco.robots import Robots
 from components.environments.mujoco.specifications import ROBOTS, simulator_version
 from components.environments.systems import check_simulator
+from components.experts.config import ExpertConfig
 from components.experts.episodes import evaluate_episodes
-from components.experts.online import ExpertConfig
 from components.experts.replay import replayed_episodes
 from components.experts.training import train_experts
 from components.policies.policy import Policy

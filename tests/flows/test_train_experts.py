@@ -14,6 +14,7 @@ from components.data.controllers.trained import shipped
 from components.data.controllers.trained.shipped import Expert
 from components.data.sources.robots import RobotSpec
 from components.experts import online
+from components.experts.config import ExpertConfig
 from components.policies.policy import Policy
 from flows import train_experts
 from flows.command_line import main
@@ -106,7 +107,7 @@ def test_what_is_wrong_ends_in_one_sentence(word: str, message: str) -> None:
 
 def test_documented_defaults_are_the_code_s() -> None:
     experts = load_settings([]).experts
-    assert experts.training == online.ExpertConfig()
+    assert experts.training == ExpertConfig()
     assert experts.robots == ("swimmer", "hopper", "walker2d")
     assert (experts.seeds, experts.physics, experts.episodes) == ((0, 1, 2, 3), "v3", 100)
     assert experts.discount == RobotSpec("swimmer", "swimmer").discount
@@ -163,11 +164,11 @@ def test_a_killed_training_is_continued_in_its_work_folder(
 ) -> None:
     seeds = [node for node in plan_of() if node.component == "expert_training"]
     run(seeds, tmp_path / "whole")
-    update = online.OnlineDDPG.update
-    monkeypatch.setattr(online.OnlineDDPG, "update", dying(update, 41))
+    update = online.OnlineLearner.update
+    monkeypatch.setattr(online.OnlineLearner, "update", dying(update, 41))
     with pytest.raises(KilledError):
         run(seeds, tmp_path / "killed")
-    monkeypatch.setattr(online.OnlineDDPG, "update", update)
+    monkeypatch.setattr(online.OnlineLearner, "update", update)
     for node in seeds:
         (tmp_path / "killed" / node.key).rmdir()
     run(seeds, tmp_path / "killed")

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from components.core.random_streams import lane_key
-from components.experts.online import ExpertConfig, OnlineDDPG
+from components.experts.config import ExpertConfig
+from components.experts.online import OnlineLearner
 from components.experts.replay import Replay
 from components.networks import StackedMLP
 from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
@@ -32,12 +33,12 @@ def keys(*seeds: int) -> list[int]:
     return [lane_key("toy", seed) for seed in seeds]
 
 
-def learner(*seeds: int, config: ExpertConfig = TINY, unsteady: float = 0.6) -> OnlineDDPG:
+def learner(*seeds: int, config: ExpertConfig = TINY, unsteady: float = 0.6) -> OnlineLearner:
     replay = Replay(len(seeds), config.steps, 3, 2, CPU)
-    return OnlineDDPG(config, keys(*seeds), ToyRobot(len(seeds), unsteady), replay, CPU)
+    return OnlineLearner(config, keys(*seeds), ToyRobot(len(seeds), unsteady), replay, CPU)
 
 
-def lived(made: OnlineDDPG, lane: int) -> dict[str, np.ndarray]:
+def lived(made: OnlineLearner, lane: int) -> dict[str, np.ndarray]:
     """All transitions of a lane."""
     index = torch.arange(made._replay.count).expand(made.lanes, -1)
     batch = made._replay.batch(index)
@@ -61,10 +62,10 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
     for step in range(TINY.random_steps):
         assert made.update(step) == {}
     before = {
-        "actor": plain(made._ddpg._actor),
-        "critic": plain(made._ddpg._critic.stack),
-        "actor_target": plain(made._ddpg._actor_target),
-        "critic_target": plain(made._ddpg._critic_target.stack),
+        "actor": plain(made._learner._actor),
+        "critic": plain(made._learner._critic.stack),
+        "actor_target": plain(made._learner._actor_target),
+        "critic_target": plain(made._learner._critic_target.stack),
     }
     robots, frame = copy.deepcopy(made._robots), made._frames.copy()
     random = {name: value.clone() for name, value in made._streams.at(TINY.random_steps).items()}
@@ -82,7 +83,7 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
     assert seen["rewards"][-1] == np.float32(rewards[0])
 
     # the update, on a batch from all transitions, the newest one included
-    row = made._ddpg._streams.at(TINY.random_steps)["row"]
+    row = made._learner._streams.at(TINY.random_steps)["row"]
     rows = np.floor(row[0].numpy() * (TINY.random_steps + 1)).astype(int)
     batch = {name: torch.from_numpy(values[rows]) for name, values in seen.items()}
 
@@ -105,12 +106,12 @@ def test_one_step_equals_plain_code_of_the_method() -> None:
         adam.zero_grad()
         loss.backward()
         adam.step()
-    for name, stack in (("actor", made._ddpg._actor), ("critic", made._ddpg._critic.stack)):
+    for name, stack in (("actor", made._learner._actor), ("critic", made._learner._critic.stack)):
         online, mine = before[name].parameters(), plain(stack).parameters()
         for expected, ours in zip(online, mine, strict=True):
             # one Adam step of 3e-3 from gradients in float32
             torch.testing.assert_close(ours, expected, rtol=1e-3, atol=3e-5)
-    moved = plain(made._ddpg._critic_target.stack).parameters()
+    moved = plain(made._learner._critic_target.stack).parameters()
     parts = zip(moved, slow["critic_target"].parameters(), before["critic"].parameters())  # noqa: B905
     for ours, old, new in parts:
         torch.testing.assert_close(ours, 0.9 * old + 0.1 * new, rtol=1e-3, atol=3e-5)

@@ -10,7 +10,7 @@ import torch
 
 from components.core.random_streams import lane_generator, lane_key
 from components.experts.episodes import episode_rewards, evaluate_episodes
-from components.experts.online import OnlineDDPG
+from components.experts.online import OnlineLearner
 from components.experts.training import train_experts, without_denormals
 from components.training.divergence import DivergedError
 from tests.components.data.sources.toy_robot import LIMIT, ToyRobot
@@ -47,7 +47,7 @@ def test_a_killed_training_goes_on_to_the_same_numbers(
     # before any checkpoint, among the random steps, in the middle of episodes, at the end
     deaths = [0, 17, 44, 71, 99]
     folder = tmp_path / "killed"
-    again = killed_at(deaths, OnlineDDPG, lambda path: trained(path, 0, 1), folder, monkeypatch)
+    again = killed_at(deaths, OnlineLearner, lambda path: trained(path, 0, 1), folder, monkeypatch)
     assert whole[1] == again[1]
     for one, two in zip(whole[0], again[0], strict=True):
         assert one.card == two.card
@@ -65,7 +65,7 @@ def test_one_lane_of_a_checkpoint_can_be_finished_alone(
 ) -> None:
     whole = trained(tmp_path / "whole", 0, 1)
     with monkeypatch.context() as patched:
-        patched.setattr(OnlineDDPG, "update", dying(OnlineDDPG.update, 71))
+        patched.setattr(OnlineLearner, "update", dying(OnlineLearner.update, 71))
         with pytest.raises(KilledError):
             trained(tmp_path / "part", 0, 1)
     [policy], [reached], _ = trained(tmp_path / "part", 1)
@@ -96,7 +96,7 @@ def test_the_best_evaluation_is_the_policys(tmp_path: Path) -> None:
         assert rewards.sum(axis=1).mean() == pytest.approx(reached[lane], rel=1e-5)  # float32
 
 
-class BreakingDDPG(OnlineDDPG):
+class BreakingDDPG(OnlineLearner):
     """The second lane's policy is undefined from a step on."""
 
     at = 0
@@ -116,7 +116,7 @@ def test_a_lane_that_diverges_keeps_its_best_finite_policy_or_has_none(
 ) -> None:
     expected = trained(tmp_path / "whole", 0, 1)
     monkeypatch.setattr(BreakingDDPG, "at", at)
-    monkeypatch.setattr("components.experts.training.OnlineDDPG", BreakingDDPG)
+    monkeypatch.setattr("components.experts.training.OnlineLearner", BreakingDDPG)
     policies, _, curves = trained(tmp_path / "broken", 0, 1)
     assert all(map(torch.equal, weights(policies[0]), weights(expected[0][0])))
     assert policies[0].card.ended_at is None

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from components.evaluation.protocol import EvaluationProtocol
-from components.experts.online import ExpertConfig
+from components.experts.config import ExpertConfig
 from flows.configuration.checking import SettingsError, build_config, hint
 from flows.configuration.defaults import ALGORITHM_CONFIGS, MODEL_CONFIGS
 
