@@ -19,8 +19,9 @@ from flows.planning.experts import expert_plan
 HELP = f"""\
 usage: python -m flows.train_experts [KEY=VALUE ...]
 
-Train the controllers that log the robot datasets: DDPG on the robots themselves, all seeds of a
-robot together, for hours. To continue a training that was stopped, give the same command again.
+Train the controllers that log the robot datasets: DDPG or TD3 on the robots themselves, all seeds
+of a robot together, for hours. To continue a training that was stopped, give the same command
+again.
 
   profile=smoke                   a training of seconds, for tests; paper is the default
   robots=[a,b]                    {", ".join(ROBOTS)}, or all
@@ -30,6 +31,7 @@ robot together, for hours. To continue a training that was stopped, give the sam
   install=true                    put the experts where dataset generation looks for them
   experts.episodes=100            episodes that evaluate the chosen expert
   experts.discount=0.99           of the returns on its card
+  experts.training.method=td3     in place of ddpg, for a robot that DDPG does not master
   experts.training.KEY=VALUE      a setting of the training, e.g. experts.training.exploration=0.2
 {COMMON_HELP}"""
 

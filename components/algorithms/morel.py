@@ -60,6 +60,7 @@ from components.algorithms.parts.natural_gradient import (
 from components.algorithms.parts.pessimistic_mdp import Detector, PessimisticMDP
 from components.algorithms.parts.ranges import check_at_least_one
 from components.core.draws import Choice, Draw, Normal, Order
+from components.core.options import option
 from components.core.random_streams import LaneStreams
 from components.data.sizes import DataSizes
 from components.data.starts import start_rows
@@ -97,6 +98,7 @@ class Config:
     damping: float = 1e-3  # of the Fisher matrix
     iterations: int = 20  # of conjugate gradients
     fisher_samples: int = 5000  # live samples a lane behind the Fisher matrix
+    halt_reward: float | None = option(None)  # of HALT, in place of the log's least less the offset
 
     def __post_init__(self) -> None:
         """Reject values outside their range.
@@ -132,12 +134,17 @@ class Learner(StackedLearner):
         self._detector = Detector(environment, data, config.beta).to(device)
         followed = torch.arange(model.members, device=device).repeat_interleave(config.trajectories)
         self._batch = len(followed)  # B
-        least = [float(dataset.rewards.min()) for dataset in data.datasets]
+        halting = [
+            float(dataset.rewards.min()) - config.halt_offset
+            if config.halt_reward is None
+            else config.halt_reward
+            for dataset in data.datasets
+        ]
         self._mdp = PessimisticMDP(
             environment,
             self._detector,
             followed.expand(config.horizon, self.lanes, -1),
-            torch.tensor(least, device=device) - config.halt_offset,
+            torch.tensor(halting, device=device),
             config.discount,
         )
         usual = torch.tensor(inputs.mean_window_returns, device=device).abs()

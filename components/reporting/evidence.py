@@ -135,6 +135,7 @@ class Evidence:
         selection: The policies that judges would choose from the logs alone, if they were asked.
         judges: How well they ranked the policies, where true returns are known.
         judged: Logs without a real system, whose policies were judged and never tried.
+        judged_policies: A row per policy of these, snapshot and proximity; empty without such logs.
         across: Algorithms compared over datasets; None if too little is finished.
         budget: Profile and seeds, for titles.
     """
@@ -153,6 +154,7 @@ class Evidence:
     selection: pd.DataFrame | None = None
     judges: pd.DataFrame | None = None
     judged: Sequence[JudgedLog] = ()
+    judged_policies: pd.DataFrame = field(default_factory=pd.DataFrame)
     across: Across | None = None
     budget: str = ""
 

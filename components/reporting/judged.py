@@ -12,6 +12,7 @@ from components.reporting.leads import Lead
 from components.reporting.selection import selection_table
 
 __all__ = [
+    "TRAINED_BY",
     "Choice",
     "Gain",
     "Judged",
@@ -33,6 +34,9 @@ _RETURNS: Final = (
     "promised in training",
 )
 """Columns of returns; two of errors differ by a blank, which nobody sees."""
+TRAINED_BY: Final = ("run", "hardware", "commit")
+"""Columns on what trained a policy."""
+
 _SHARES: Final = ("λ", "outside", "distance")
 
 
@@ -194,14 +198,14 @@ def choices(
 
     Args:
         policies: Of :func:`components.aggregation.selection.scored`, one row a policy of the log,
-            with the errors of the behaviour policy's estimates and the ``run`` of each.
+            with the errors of the behaviour policy's estimates and what trained each.
         leads: Where policies lead, by algorithm and λ, as far as it is known.
     """
     best = policies.sort_values(f"score_{DEFAULT_SCORE}", ascending=False, kind="stable")
     runs: dict[tuple[str, float | None], str] = {}
     for name, place, run in zip(best["algorithm"], best["proximity"], best["run"], strict=True):
         runs.setdefault((str(name), _known(float(place))), str(run))
-    table = selection_table(policies.drop(columns="run"), DEFAULT_SCORE)
+    table = selection_table(policies.drop(columns=list(TRAINED_BY)), DEFAULT_SCORE)
     found = [_choice({str(k): v for k, v in row.items()}, runs) for row in table.to_dict("records")]
     known = leads or {}
     return [replace(c, leads=known.get((c.algorithm, c.proximity), ())) for c in found]

@@ -72,16 +72,18 @@ def budgets() -> str:
                 f"{(far < -_CLOSE).sum()}",
             ]
         rows.append([title, *here, *(f"{number:,}" for number in full[name]), *agreement])
-    everything = [(ours_by[cell], theirs_by[cell]) for cell in ours_by]
-    rest = [pair for cell, pair in zip(ours_by, everything, strict=True) if cell[1] != _OTHERWISE]
-    as_printed = [(value, thesis[log, _OTHERWISE][0]) for log, value in _as_printed().items()]
+    as_printed = ours_by | {(log, _OTHERWISE): value for log, value in _as_printed().items()}
     whole = {
-        "all": everything,
-        "all but DDPG": rest,
-        "all, DDPG discounted with 0.99": rest + as_printed,
+        "all": (ours_by, ()),
+        "all but DDPG": (ours_by, (_OTHERWISE,)),
+        "all, DDPG discounted with 0.99": (as_printed, ()),
+        "the same without MOReL": (as_printed, ("morel",)),
+        "without MOReL, CQL and MOPO": (as_printed, ("morel", "cql", "mopo")),
     }
-    for title, pairs_ in whole.items():
-        rows.append([title, *[""] * 4, _rank(*np.array(pairs_).T), "", ""])
+    for title, (found, without) in whole.items():
+        kept = [cell for cell in found if cell[1] not in without]
+        rank = _rank(*np.array([(found[cell], theirs_by[cell]) for cell in kept]).T)
+        rows.append([title, *[""] * 4, rank, "", ""])
     heads = ["", "updates: turbine", "robots", "thesis: turbine", "robots"]
     return table_of([*heads, "Spearman", "within 5 %", "lower by more"], rows)
 

@@ -25,6 +25,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "ddpg": every_cell.ddpg,
     "world": settings.world,
     "bad_alone": settings.bad_alone,
+    "box": settings.box,
     "autoencoder": settings.autoencoder,
     "pace": settings.pace,
     "limits": settings.limits,

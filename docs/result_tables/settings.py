@@ -104,6 +104,15 @@ def bad_alone() -> str:
     return table_of(["changed", *heads], rows)
 
 
+def box() -> str:
+    """WSBC on bad-0.0 by the size of its box."""
+    table = pd.read_csv(DATA / "wsbc-box-2026-11.csv")
+    theirs, error = thesis_numbers()["bad-0.0", "wsbc"]
+    heads = ["box, ±", *(f"{size:g}" for size in table["box"]), "thesis, ± 0.0125"]
+    values = [f"{value:.1f}" for value in table["tenth_percentile"]]
+    return table_of(heads, [["10th percentile", *values, f"{theirs:.1f} ({error:g})"]])
+
+
 def autoencoder() -> str:
     """One row per run of MOOSE from a clone of Hopper's log: real returns on the way."""
     table = pd.read_csv(DATA / "moose-autoencoder-2026-11.csv")

@@ -48,6 +48,7 @@ class _Part:
     summaries: Sequence[Mapping[str, Any]]
     gaps: Sequence[Gap]
     judged: Sequence[JudgedLog]
+    judged_policies: pd.DataFrame
 
 
 def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
@@ -121,6 +122,7 @@ def gather(store: ArtifactStore, names: Sequence[str]) -> Evidence:
         selection=selection_of(store.root, names),
         judges=judges_of(store.root, names),
         judged=[log for part in parts for log in part.judged],
+        judged_policies=pd.concat([part.judged_policies for part in parts], ignore_index=True),
         across=compare_across(rows, cells, shown),
         budget="; ".join(
             dict.fromkeys(p.sweep.budget(len(cell.seeds) for cell in p.cells) for p in parts)
@@ -165,11 +167,15 @@ def _read(store: ArtifactStore, name: str, *, several: bool) -> _Part:
         )
         summaries.append(summary)
     comparison = compare(aggregations)
-    judged = []
+    judged, policies = [], pd.DataFrame()
     if alone:
         policies = judged_table(store, sweep.done)
         judged = judged_logs(store, sweep.done, sweep.missing, policies, suffix)
-    return _Part(suffix, sweep, comparison, logs, cells, summaries, _gaps(sweep, suffix), judged)
+        if len(policies):
+            policies = policies[policies["dataset"].isin(alone)]
+            policies = policies.assign(sweep=name) if several else policies
+    gaps = _gaps(sweep, suffix)
+    return _Part(suffix, sweep, comparison, logs, cells, summaries, gaps, judged, policies)
 
 
 def _training(aggregation: StoredNode) -> list[StoredNode]:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from components.aggregation.selection import scored
 from components.data.card import DatasetCard
-from components.reporting.judged import Judged, JudgedLog, Returns, choices
+from components.reporting.judged import TRAINED_BY, Judged, JudgedLog, Returns, choices
 from components.reporting.leads import leads_of
 from flows.pipeline.plan import Node
 from flows.pipeline.store import ArtifactStore
@@ -136,7 +136,11 @@ def judged_logs(
 
 
 def judged_table(store: ArtifactStore, done: Sequence[Node]) -> pd.DataFrame:
-    """All judged policies of a sweep with their scores and the runs that trained them.
+    """All judged policies of a sweep with their scores, and what trained them.
+
+    Returns:
+        A row per policy, snapshot and proximity: what the judgement found, scores, and of the
+        training its digest (`policy`), `run`, `hardware` and `commit` (empty if unknown).
 
     Raises:
         DamagedFileError: A judgement is missing or damaged.
@@ -145,7 +149,12 @@ def judged_table(store: ArtifactStore, done: Sequence[Node]) -> pd.DataFrame:
     if found.empty:
         return found
     runs = {node.key: node.name for node in _of(done, "policy_training")}
-    return scored(found.assign(run=found["policy"].map(runs)))
+    records = {key: store.record(key) for key in found["policy"].unique()}
+    origin = {
+        part: found["policy"].map({key: str(of.get(part, "")) for key, of in records.items()})
+        for part in TRAINED_BY[1:]
+    }
+    return scored(found.assign(run=found["policy"].map(runs), **origin))
 
 
 def _returns(card: DatasetCard) -> Returns:

@@ -46,6 +46,9 @@ def write_files(
     """
     name, make = _FILES[kind]
     files = _written(folder, name, make(evidence), policy_table(evidence))
+    if len(evidence.judged_policies):
+        files.append(folder / "judged.parquet")
+        evidence.judged_policies.to_parquet(files[-1], index=False)
     if figures:
         (folder / "figures").mkdir(exist_ok=True)
         for title, figure in static_figures(evidence):

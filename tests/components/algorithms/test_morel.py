@@ -299,6 +299,18 @@ def test_it_finds_the_known_optimum_and_halt_holds_it_in_the_known() -> None:
     assert halted[-5:].mean() < halted[:5].mean()
 
 
+def test_a_halt_that_costs_nothing_is_sought_where_every_reward_is_negative() -> None:
+    """The authors' code ends trajectories without a cost: then the unknown is the best place."""
+    world = linear_ensemble(LOG, (0.0, 1.0), -1.0)
+    sought = in_world(world, beta=3.0, halt_reward=0.0)
+    metrics = run(sought, 30)
+    halted = torch.stack([m["actor/halted_share"] for m in metrics]).flatten()
+    # measured: from a fifth to nine tenths
+    assert halted[-5:].mean() > halted[:5].mean() + 0.2
+    _, rolled = rolled_out(sought, 1000)
+    assert not rolled.ended.rewards[rolled.ended.halts].any()
+
+
 def test_pretraining_comes_near_the_logged_actions_and_leaves_the_deviations() -> None:
     log = make_log(explore=0.0, episodes=20)
     made = learner("morel", [log], [0], cloning=300, hidden=(16,), learning_rate=1e-2, batch=64)

@@ -50,6 +50,8 @@ def judgements(given: dict[str, Rows], usual: float = -70.0) -> pd.DataFrame:
                         "promised": NAN if np.isnan(proximity) else model + 1.0,
                         "policy": f"key{seed}",
                         "run": f"{algorithm}/timid/seed{seed}",
+                        "hardware": "2 x a processor",
+                        "commit": "a1b2c3d",
                         "true_return": NAN,
                     }
                 )

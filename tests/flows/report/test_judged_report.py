@@ -241,6 +241,13 @@ def test_in_a_sweep_of_both_kinds_judged_logs_are_a_part_of_the_page(
         assert door(f"store={root}", "sweep=both", f"out={tmp_path}", f"format={kind}") == 0
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "## Logs without a real system" in text
+    assert set(pd.read_parquet(tmp_path / "policies.parquet")["dataset"]) == {"bad-0.4"}
+    judged = pd.read_parquet(tmp_path / "judged.parquet")
+    assert set(judged["dataset"]) == {"furnace"}
+    for row in judged.to_dict("records"):
+        record = ArtifactStore(root, create=False).record(row["policy"])
+        assert (row["run"], row["hardware"]) == (record["name"], record["hardware"])
+        assert row["commit"] == record["commit"]
     with visited((tmp_path / "report.html").as_uri()) as visit:
         visit.page.wait_for_selector("body[data-ready]")
         assert visit.page.locator("#judged .card h3").all_inner_texts() == ["furnace"]
