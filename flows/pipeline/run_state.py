@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from flows.pipeline.computer import device_model
 from flows.pipeline.costs import BOOKKEEPING, CostModel
+from flows.pipeline.group import GroupResult
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.schedule import Group, simulate_schedule
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.worker import GroupResult
 
 __all__ = ["ComponentState", "RunState"]
 

@@ -11,6 +11,7 @@ from flows.pipeline.audit import Audit, audit
 from flows.pipeline.driver import Driver
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.failures import REPAIR_REMEDY, failure_line
+from flows.pipeline.group import GroupCall, GroupResult
 from flows.pipeline.outcome import Outcome
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
@@ -23,7 +24,6 @@ from flows.pipeline.stopping import Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.tracking.tracker import Tracker
 from flows.pipeline.waiting import Waiting
-from flows.pipeline.worker import GroupCall, GroupResult
 
 __all__ = ["Outcome", "run_plan"]
 

@@ -17,12 +17,12 @@ from components.core.integrity import DamagedFileError
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.executor import Executor
 from flows.pipeline.failures import failure_line
+from flows.pipeline.group import GroupCall, GroupResult
 from flows.pipeline.locks import locked
 from flows.pipeline.outcome import STOPPED
 from flows.pipeline.plan import Node, digest
 from flows.pipeline.signals import deferred_signals, exit_code, ignored_signals
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.worker import GroupCall, GroupResult
 from flows.tuning.outcome import SearchOutcome
 from flows.tuning.study import Study
 from flows.tuning.trial_queue import TrialQueue

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from components.core.files import read_json
+from flows.pipeline.group import GroupCall
 from flows.pipeline.plan import Plan
 from flows.pipeline.schedule import form_groups
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.worker import GroupCall, run_group
+from flows.pipeline.worker import run_group
 
 
 def overridden(base: Sequence[str], words: Sequence[str]) -> list[str]:

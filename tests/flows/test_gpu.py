@@ -15,9 +15,10 @@ from components.algorithms import ALGORITHMS
 from components.algorithms.parts.training import train_policies
 from components.core.tensors import load_tensors
 from flows.configuration.settings import load_settings
+from flows.pipeline.group import GroupCall
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.worker import GroupCall, run_group
+from flows.pipeline.worker import run_group
 from flows.planning.benchmark import benchmark_plan
 from tests.components.interruption import KilledError, dying
 from tests.flows.grid import finished

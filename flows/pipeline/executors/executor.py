@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from flows.pipeline.worker import GroupCall, GroupResult
+from flows.pipeline.group import GroupCall, GroupResult
 
 __all__ = ["Executor"]
 

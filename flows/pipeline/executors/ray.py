@@ -20,8 +20,9 @@ from flows.pipeline.executors.local_ray import LocalRay, set_environment
 from flows.pipeline.executors.machines import check_machines
 from flows.pipeline.executors.preflight import check_admission
 from flows.pipeline.executors.processors import available_cpus, check_threads
+from flows.pipeline.group import GroupCall, GroupResult
 from flows.pipeline.signals import deferred_signals
-from flows.pipeline.worker import GroupCall, GroupResult, run_group
+from flows.pipeline.worker import run_group
 
 __all__ = ["RayExecutor"]
 

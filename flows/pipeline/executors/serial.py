@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 
-from flows.pipeline.worker import GroupCall, GroupResult, run_group
+from flows.pipeline.group import GroupCall, GroupResult
+from flows.pipeline.worker import run_group
 
 __all__ = ["SerialExecutor"]
 

@@ -17,6 +17,7 @@ from flows.pipeline.audit import audit
 from flows.pipeline.driver import Driver
 from flows.pipeline.errors import TrackingError
 from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.group import GroupCall
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.run_state import RunState
@@ -26,7 +27,6 @@ from flows.pipeline.signals import ending_signals
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import TaskContext
 from flows.pipeline.tracking.tracker import NullTracker, Tracker
-from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
 
 

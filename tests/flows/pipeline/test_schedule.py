@@ -9,12 +9,12 @@ from rich.console import Console
 from components.core.files import write_json
 from components.core.sealed import seal
 from flows.pipeline.costs import CostModel
+from flows.pipeline.group import GroupResult
 from flows.pipeline.plan import Node, Plan
 from flows.pipeline.progress import Display, duration
 from flows.pipeline.run_state import ComponentState, RunState
 from flows.pipeline.schedule import Group, form_groups, simulate_schedule
 from flows.pipeline.store import ArtifactStore
-from flows.pipeline.worker import GroupResult
 from tests.flows.pipeline.toys import node, record_of
 
 

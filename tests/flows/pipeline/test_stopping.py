@@ -11,6 +11,7 @@ from components.core.files import read_json, write_json
 from flows.pipeline.driver import Driver, DriverRecord, ask_to_stop, driving, is_alive, read_driver
 from flows.pipeline.errors import PipelineError
 from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.group import GroupCall
 from flows.pipeline.limits import Limit
 from flows.pipeline.outcome import STOPPED, Outcome
 from flows.pipeline.plan import Plan
@@ -20,7 +21,6 @@ from flows.pipeline.stopping import PATIENCE, Stop
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.task import TaskContext
 from flows.pipeline.tracking.tracker import NullTracker
-from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.test_runner import Screen, run, value
 from tests.flows.pipeline.toys import counted, node
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flows.pipeline.worker import GroupCall
+from flows.pipeline.group import GroupCall
 from flows.tuning.study import Study, has_ended
 from tests.flows.pipeline.crash_points import die_at_change, in_child
 from tests.flows.pipeline.toys import counted

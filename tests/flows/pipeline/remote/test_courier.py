@@ -11,13 +11,13 @@ import pytest
 from components.core.files import write_json
 from flows.pipeline.driver import Driver, DriverRecord, ask_to_stop, driving, read_driver
 from flows.pipeline.errors import PipelineError
+from flows.pipeline.group import GroupCall
 from flows.pipeline.remote.bringing import Glance, bring
 from flows.pipeline.remote.courier import DriverCourier
 from flows.pipeline.remote.objects import Objects
 from flows.pipeline.remote.places import CACHE, copy_of
 from flows.pipeline.remote.shared_store import SharedStore, store_at
 from flows.pipeline.sweep_records import SweepRecord
-from flows.pipeline.worker import GroupCall
 from tests.flows.pipeline.toys import node
 
 

@@ -15,6 +15,7 @@ from components.core.sealed import seal
 from flows.pipeline.audit import audit
 from flows.pipeline.errors import PipelineError, StoreError
 from flows.pipeline.executors.serial import SerialExecutor
+from flows.pipeline.group import GroupCall
 from flows.pipeline.plan import Plan
 from flows.pipeline.progress import Display
 from flows.pipeline.remote.bringing import glance
@@ -25,7 +26,7 @@ from flows.pipeline.runner import Outcome, run_plan
 from flows.pipeline.store import ArtifactStore
 from flows.pipeline.sweep_records import SweepRecord
 from flows.pipeline.tracking.tracker import NullTracker
-from flows.pipeline.worker import GroupCall, run_group
+from flows.pipeline.worker import run_group
 from tests.flows.pipeline.toys import counted, diamond, node, record_of
 
 A, B, C = (letter * 32 for letter in "abc")
@@ -301,7 +302,7 @@ def test_a_folder_outside_the_store_travels(url: str, on: Elsewhere, tmp_path: P
     (outside / "card.json").write_text("{}", encoding="utf-8")
     (outside / "twin.json").write_text("{}", encoding="utf-8")
     here = SharedStore(url, "us", drives=True)
-    from flows.pipeline.worker import GroupCall
+    from flows.pipeline.group import GroupCall
 
     described = node("number", "n", tmp_path, number=1)
     object.__setattr__(described, "folders", {"log": str(outside)})
