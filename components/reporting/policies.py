@@ -22,6 +22,7 @@ _COLUMNS: Final = (
     "pooled",
     "configuration",
     "hardware",
+    "commit",
 )
 
 

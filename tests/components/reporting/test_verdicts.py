@@ -135,3 +135,5 @@ def test_policies_are_rows_with_their_seed_snapshot_and_proximity() -> None:
     assert (row["return"], row["pooled"]) == (-119.0, True)
     assert not lion[lion["updates"] < 1000]["pooled"].any()
     assert table[table["algorithm"] == "bc"]["proximity"].isna().all()
+    nothing = policy_table(evidence(cells={}))
+    assert list(nothing) == list(table), "nothing finished, the same columns"
