@@ -1,4 +1,6 @@
-"""Tables of speed, one after the other: ``python -m benchmarks``."""
+"""Tables of speed, one after the other, for many minutes: ``python -m benchmarks``."""
+
+import argparse
 
 from benchmarks import (
     ensemble_quality,
@@ -18,6 +20,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Print a line about the computer and a Markdown table per benchmark, each when it is known."""
+    argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__).parse_args()
     print(computer(), flush=True)
     reports = {
         "Industrial Benchmark": environment.report,

@@ -362,6 +362,7 @@ def test_all_benchmarks_are_printed_under_their_titles(
     for module in (*modules, model_free):
         monkeypatch.setattr(module, "report", lambda name=module.__name__: f"table of {name}")
     monkeypatch.setattr(model_free, "available", lambda: beside)
+    monkeypatch.setattr(sys, "argv", ["benchmarks"])
     all_benchmarks.main()
     printed = capsys.readouterr().out
     assert "PyTorch" in printed.splitlines()[0]
@@ -370,6 +371,17 @@ def test_all_benchmarks_are_printed_under_their_titles(
     assert printed.count("\n## ") == len(modules)
     skipped = f"Skipped the comparison with d3rlpy. {model_free.missing()}"
     assert (skipped in printed.splitlines()) is not beside
+
+
+@pytest.mark.parametrize(("word", "code"), [("--help", 0), ("--nothing", 2)])
+def test_whoever_asks_what_all_benchmarks_are_runs_none(
+    word: str, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmarks", word])
+    monkeypatch.setattr(environment, "report", lambda: pytest.fail("a benchmark runs"))
+    with pytest.raises(SystemExit) as ended:
+        all_benchmarks.main()
+    assert ended.value.code == code
 
 
 def test_reference_quality_is_the_first_time_all_targets_are_good_enough() -> None:
