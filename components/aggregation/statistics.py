@@ -14,7 +14,7 @@ import numpy.typing as npt
 __all__ = ["PERCENTILE", "PoolStatistics", "pool_policies", "pooled_snapshots", "summarise"]
 
 PERCENTILE = 10.0
-STANDARD_ERROR_FACTOR = 1.7  # the thesis's factor; exact for a normal is 1.709 (details: README)
+STANDARD_ERROR_FACTOR = 1.7  # the thesis's factor; exact for a normal is 1.709
 TRIM = 0.25  # share cut from either end for the interquartile mean
 
 

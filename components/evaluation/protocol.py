@@ -11,7 +11,7 @@ __all__ = ["EvaluationProtocol"]
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationProtocol:
-    """The protocol (thesis 5.1.2; details in the README)."""
+    """The protocol (thesis 5.1.2; details in docs/protocol.md)."""
 
     trajectories: int = 10  # real ones per policy and proximity
     horizon: int = 100  # steps

@@ -28,7 +28,7 @@ Ctrl-C.
   margin={USUAL.margin:g}     what the autopilot may lose, as a share of the logged return
   slope={USUAL.slope:g}        how much the return may fall per unit of lambda, in the same
                  share: its guarantee holds if it falls no faster
-  port=8085      of the server; a free one by default
+  port=8085      of the server; by default 8085 or, where that is taken, any free one
   replay=FOLDER  instead: decide again as a saved session says, and compare every byte of it
 """
 
