@@ -99,6 +99,6 @@ STUDY: Final = Study(
     about="a safe search for λ beside the stop at the first drop (thesis 7.2)",
     subject=("algorithms=[lion]",),
     defaults=(SIXTEEN, "seeds=[0,1]"),
-    takes="days; with profile=quick hours",
+    takes="hours; with profile=quick minutes",
     draw=_draw,
 )
