@@ -96,7 +96,7 @@ def train_experts(
         evaluated_at = range(config.evaluate_every, config.steps + 1, config.evaluate_every)
         curves = loop.run(learner, evaluate, evaluated_at)
     card = PolicyCard(
-        algorithm="ddpg",
+        algorithm=config.method,
         dataset=f"none, trained on {name} itself",
         features=tuple(robots.frame_features),
         history=1,
