@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from components.reporting.figures import BEHAVIOUR_COLOUR, limits
@@ -115,8 +116,19 @@ def panels_figure(
     if any(math.isfinite(panel.level) for panel in panels):
         named.append(grid[0, 0].plot([], [], ":", color=BEHAVIOUR_COLOUR)[0])
         names.append(level)
-    figure.legend(named, names, loc="outside lower center", ncols=4, frameon=False)
+    _fit_legend(figure, named, names)
     return figure
+
+
+def _fit_legend(figure: Figure, named: Sequence[Line2D], names: Sequence[str]) -> None:
+    """A legend below the panels, in as many columns as the figure is wide enough for."""
+    for columns in range(min(4, len(names)), 0, -1):
+        legend = figure.legend(
+            named, names, loc="outside lower center", ncols=columns, frameon=False
+        )
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _draw(panel: Panel, parts: Sequence[Axes], tints: dict[str, str]) -> None:

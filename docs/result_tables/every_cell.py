@@ -99,6 +99,29 @@ def ddpg() -> str:
     return table_of(["dataset", "0.97, 3,000 updates", "0.99, 10,000 updates", "thesis"], rows)
 
 
+def free_halt() -> str:
+    """One row per log: MOReL with the HALT of its paper and with one that costs nothing."""
+    table = pd.read_csv(DATA / "morel-halt-2026-11.csv")
+    few, many = (own.set_index("dataset") for _, own in table.groupby("updates", sort=True))
+    cells, thesis = _cells(), thesis_numbers()
+    rows = []
+    for log in logged():
+        full = f"{many.tenth_percentile[log]:.1f}" if log in many.index else ""
+        ends = (few[f"steps_before_halt_{when}"][log] for when in ("first", "last"))
+        rows.append(
+            [
+                log,
+                f"{cells[log, 'morel'][0].tenth_percentile:.1f}",
+                f"{few.tenth_percentile[log]:.1f}",
+                full,
+                " to ".join(f"{steps:.0f}" for steps in ends),
+                f"{thesis[log, 'morel'][0]:.1f}",
+            ]
+        )
+    heads = ["HALT as in the paper", "HALT pays 0", "500 updates", "steps before HALT", "thesis"]
+    return table_of(["dataset", *heads], rows)
+
+
 @cache
 def _as_printed() -> Mapping[str, float]:
     """By log, the 10th percentile of DDPG's pool with the thesis's budget and discount."""

@@ -23,6 +23,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "every_robot": every_cell.robots,
     "every_budget": every_cell.budgets,
     "ddpg": every_cell.ddpg,
+    "free_halt": every_cell.free_halt,
     "world": settings.world,
     "bad_alone": settings.bad_alone,
     "box": settings.box,

@@ -73,6 +73,17 @@ def test_seeds_of_a_robot_are_lanes_and_one_of_them_is_chosen() -> None:
             assert node.config["seeds"] == [1, 3]
 
 
+@pytest.mark.slow(2)
+@pytest.mark.parametrize("method", ["ddpg", "td3"])
+def test_an_expert_says_how_it_was_trained(method: str, tmp_path: Path) -> None:
+    *seeds, choice = plan_of(f"experts.training.method={method}")
+    run(seeds, tmp_path)
+    run([choice], tmp_path)
+    expert = Expert.load(tmp_path / choice.key / "expert")
+    assert expert.policy.card.algorithm == method
+    assert expert.card.training.get("method", "ddpg") == method
+
+
 @pytest.mark.slow(3)
 def test_a_training_is_known_by_its_own_settings_alone() -> None:
     def keys(*words: str) -> set[str]:

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from components.reporting.figures import save_figure
 from components.reporting.panels import Line, Panel, panels_figure
@@ -51,3 +52,16 @@ def test_axes_may_fall_and_be_logarithmic_with_a_zero() -> None:
     first, last = axes.get_xlim()
     assert first > last
     assert axes.get_xscale() == "symlog"
+
+
+@pytest.mark.parametrize(("panels", "columns"), [(1, 2), (4, 4)])
+def test_a_legend_has_as_many_columns_as_fit(panels: int, columns: int) -> None:
+    x = np.linspace(0.0, 1.0, 3)
+    lines = [Line(f"Beta({value}, {value}), long", x, x) for value in ("0.1", "0.3", "1", "3")]
+    figure = panels_figure([Panel("bad-0.2", 0.5, lines)] * panels, "λ")
+    figure.draw_without_rendering()
+    [legend] = figure.legends
+    box = legend.get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+    assert len({round(text.get_window_extent().x0) for text in legend.get_texts()}) == columns
