@@ -46,14 +46,14 @@ def test_values_lead_far_beyond_a_noisy_log_and_its_clone(tmp_path: Path) -> Non
 @pytest.mark.exhaustive
 @pytest.mark.slow(160)
 @pytest.mark.parametrize(
-    ("robot", "updates"), [("swimmer", 2000), ("hopper", 2000), ("walker2d", 4000)]
+    ("robot", "updates"), [("swimmer", 2000), ("hopper", 2000), ("walker2d", 8000)]
 )
 def test_learning_beats_what_was_logged(robot: str, updates: int, tmp_path: Path) -> None:
     """On every robot, at the default sizes of the networks.
 
     Mean returns of the learned policies and of the noisy behaviour, measured: 23.9 and 20.7 on
-    Swimmer, 115.2 and 98.5 on Hopper, 78.5 and 54.0 on Walker2D. By the spread of the five seeds
-    (0.6, 1.4 and 6.1) and of the logged episodes, the chance that five others do not beat the
+    Swimmer, 115.2 and 98.5 on Hopper, 119.7 and 87.3 on Walker2D. By the spread of the five seeds
+    (0.6, 1.4 and 1.6) and of the logged episodes, the chance that five others do not beat the
     behaviour is below one in a thousand for each (t-test, four degrees of freedom). A clone beats
     the behaviour of Swimmer and Hopper, too.
     """
