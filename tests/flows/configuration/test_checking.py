@@ -16,7 +16,7 @@ KINDS: dict[str, Any] = {
     "evaluation": EvaluationProtocol,
     "experts.training": ExpertConfig,
 }
-MAY_BE_NEGATIVE = {("algorithm.morel", "beta"), ("algorithm.morel", "initial_log_std")}
+MAY_BE_NEGATIVE = {("algorithm.morel", name) for name in ("beta", "halt_reward", "initial_log_std")}
 
 
 @pytest.mark.parametrize("path", KINDS)
