@@ -30,6 +30,7 @@ TABLES: Final[Mapping[str, Callable[[], str]]] = {
     "autoencoder": settings.autoencoder,
     "pace": settings.pace,
     "limits": settings.limits,
+    "swarm": settings.swarm,
     "judges": judging.judges,
     "judged": judging.judged,
     "blind": judging.blind,

@@ -21,6 +21,9 @@ _ON_THE_WAY: Final = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 _DIALS: Final = {"lion": "LION", "lambda_td3_bc": "λ-TD3+BC", "rvs": "RvS", "mopo": "MOPO"}
 """Policies with a dial, by name."""
 
+_CHOSEN: Final = 0.1
+"""WSBC's velocity limit, the default."""
+
 _CHOSEN_ON: Final = ("bad-0.4", "mediocre-0.2", "optimized-0.6")
 """The datasets on which the limit was chosen."""
 
@@ -154,6 +157,23 @@ def limits() -> str:
     rows.append(["mean", "", *(f"{mean:.1f}" for mean in means), ""])
     heads = [f"{limit:g}: {stage}" for limit in limits for stage in stages]
     return table_of(["dataset", "log", *heads, "thesis, 10th percentile"], rows)
+
+
+def swarm() -> str:
+    """One row per log: WSBC with a small and with a larger swarm at the chosen limit."""
+    small = pd.read_csv(DATA / "studies-2026-11" / "pace.csv")
+    small = small[small["limit"] == _CHOSEN].set_index("dataset")
+    large = pd.read_csv(DATA / "wsbc-swarm-2026-11.csv").set_index("dataset")
+    stages = ("quarter", "half", "end", "tenth_percentile", "promised")
+    rows = []
+    for dataset, own in small.iterrows():
+        log = str(dataset)
+        theirs, error = thesis_numbers()[log, "wsbc"]
+        found = [own["end"], *(large.loc[log, stage] for stage in stages)]
+        numbers = [f"{own['log']:.1f}", *(f"{value:.1f}" for value in found)]
+        rows.append([log, *numbers, f"{theirs:.1f} ({error:g})"])
+    heads = ["log", "24: end", "100: quarter", "half", "end", "10th percentile", "promised"]
+    return table_of(["dataset", *heads, "thesis"], rows)
 
 
 def _velocities() -> pd.DataFrame:
