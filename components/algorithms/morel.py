@@ -13,11 +13,12 @@ The policy, an unsquashed Gaussian, is pretrained on the logged actions; then, p
 Deployed is the mean action, clipped to [-1, 1].
 
 The authors' paper and code disagree; taken is the paper's process with the code's planner. HALT is
-absorbing and pays the least logged reward less an offset; the code cuts trajectories off with an
-extra of 0 and, by a slip, bootstraps from the network after the cut, which never happens here. The
-threshold is mean + beta std; in the code it is the log's maximum over a coefficient. The paper pays
-the unknown step's own reward before those of HALT; here that reward depends on the next frame,
-which is unknown, so HALT pays from that step on.
+absorbing and pays the least logged reward less an offset, or `halt_reward` where it is given; the
+code cuts trajectories off with an extra of 0 (so does `halt_reward=0`) and, by a slip, bootstraps
+from the network after the cut, which never happens here. The threshold is mean + beta std; in the
+code it is the log's maximum over a coefficient. The paper pays the unknown step's own reward before
+those of HALT; here that reward depends on the next frame, which is unknown, so HALT pays from that
+step on.
 
 disc is measured on the standardised learned features of the newest frame. On the Industrial
 Benchmark beta = 5 of the authors' 0, 5 ... 25: on `mediocre-0.4` the log's largest disc lies 9.8

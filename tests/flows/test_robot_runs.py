@@ -46,7 +46,12 @@ def test_values_lead_far_beyond_a_noisy_log_and_its_clone(tmp_path: Path) -> Non
 @pytest.mark.exhaustive
 @pytest.mark.slow(160)
 @pytest.mark.parametrize(
-    ("robot", "updates"), [("swimmer", 2000), ("hopper", 2000), ("walker2d", 8000)]
+    ("robot", "updates"),
+    [
+        ("swimmer", 2000),
+        ("hopper", 2000),
+        pytest.param("walker2d", 8000, marks=pytest.mark.slow(320)),
+    ],
 )
 def test_learning_beats_what_was_logged(robot: str, updates: int, tmp_path: Path) -> None:
     """On every robot, at the default sizes of the networks.
